@@ -1,0 +1,295 @@
+"""Objects to be manipulated: convex pieces, mass properties and looks, for the physics and for the planner alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from scipy.spatial import ConvexHull
+
+if TYPE_CHECKING:
+    from regrasp_planner.scene import Body
+
+MAX_HULL_VERTICES = 64
+"""Most vertices of one convex piece: with more, MuJoCo's contacts at rest keep jittering."""
+
+COLLISION_GROUP = 3
+VISUAL_GROUP = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A surface that is seen and never touched.
+
+    Attributes:
+        vertices: (N, 3) metres, object frame.
+        faces: (M, 3) vertex indices, counter-clockwise from outside.
+        normals: (N, 3) unit outward normals.
+        rgba: colour, multiplied with the texture if there is one.
+        texcoords: (N, 2) texture coordinates, v up, or None.
+        texture: (H, W, 3) image, first row on top, or None.
+        specular, shininess: in [0, 1].
+    """
+
+    vertices: Float[np.ndarray, "N 3"]
+    faces: Int[np.ndarray, "M 3"]
+    normals: Float[np.ndarray, "N 3"]
+    rgba: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    texcoords: Float[np.ndarray, "N 2"] | None = None
+    texture: UInt8[np.ndarray, "H W 3"] | None = None
+    specular: float = 0.3
+    shininess: float = 0.4
+
+    def shifted(self, offset: Float[np.ndarray, " 3"]) -> Look:
+        """The same surface moved by ``offset`` metres."""
+        return Look(
+            self.vertices + offset,
+            self.faces,
+            self.normals,
+            self.rgba,
+            self.texcoords,
+            self.texture,
+            self.specular,
+            self.shininess,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A rigid object made of convex pieces.
+
+    The object frame has its origin at the centre of mass and z up when the object stands upright. The physics and the
+    planner use the very same pieces.
+
+    Attributes:
+        name: identifier, for example ``"004_sugar_box"``.
+        label: what people call it, for example ``"sugar box"``.
+        mass: kilograms.
+        pieces: convex pieces, (N, 3) vertices each, N ≤ 64, metres, object frame.
+        inertia: (3, 3) about the centre of mass in the object frame, kg·m².
+        shape: ``"box"`` if the one piece is a box aligned with the frame, else ``"mesh"``.
+        looks: surfaces to draw; where there are none the pieces themselves are drawn in ``rgba``.
+        rgba: colour of the pieces where no looks are given.
+        friction: sliding friction coefficient against everything but the gripper's pads, which bring their own.
+    """
+
+    name: str
+    label: str
+    mass: float
+    pieces: tuple[Float[np.ndarray, "N 3"], ...]
+    inertia: Float[np.ndarray, "3 3"]
+    shape: Literal["box", "mesh"] = "mesh"
+    looks: tuple[Look, ...] = ()
+    rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    friction: float = 0.6
+
+    @cached_property
+    def size(self) -> Float[np.ndarray, " 3"]:
+        """(3,) extents of the upright object along x, y and z, metres."""
+        points = np.concatenate(self.pieces)
+        return np.ptp(points, axis=0)
+
+    @property
+    def height(self) -> float:
+        """Height of the upright object, metres."""
+        return float(self.size[2])
+
+    @cached_property
+    def height_above_base(self) -> float:
+        """Height of the frame's origin above the surface that the upright object stands on, metres."""
+        return float(-min(piece[:, 2].min() for piece in self.pieces))
+
+    @cached_property
+    def grasp_width(self) -> float:
+        """Least width of the convex hull over all horizontal directions of the upright object, metres."""
+        points = np.concatenate(self.pieces)[:, :2]
+        corners = points[ConvexHull(points).vertices]
+        edges = np.roll(corners, -1, axis=0) - corners
+        normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
+        reach = corners @ normals.T
+        return float(np.ptp(reach, axis=0).min())
+
+    @cached_property
+    def _body(self) -> Body:
+        # Imported here because it loads JAX, which the physics alone does not need.
+        from regrasp_planner.geometry.support import ConvexBody
+        from regrasp_planner.scene import Body
+
+        pieces = tuple(ConvexBody.from_vertices(piece) for piece in self.pieces)
+        return Body(self.name, pieces, np.zeros(3), self.mass)
+
+    def body(self) -> Body:
+        """The object as the planner sees it, a `regrasp_planner.scene.Body` (made once)."""
+        return self._body
+
+    def add_to(
+        self,
+        spec: mujoco.MjSpec,
+        name: str | None = None,
+        pose: Float[np.ndarray, " 7"] | None = None,
+        *,
+        free: bool = True,
+        parent: mujoco.MjsBody | None = None,
+    ) -> mujoco.MjsBody:
+        """Add the object to a MuJoCo specification.
+
+        Args:
+            spec: the specification, changed in place. Meshes, textures and materials of an object that is already in
+                it are shared.
+            name: name of the body, the object's own name by default; the free joint is called ``{name}_joint``.
+            pose: (7,) wxyz_xyz in the parent's frame, the identity by default.
+            free: whether it moves; otherwise it is fixed to its parent.
+            parent: the world by default.
+
+        Returns:
+            The new body. Its collision geoms ``{name}_c0`` … are in group 3, what is seen in group 2.
+        """
+        name = name or self.name
+        pose = np.array([1.0, 0, 0, 0, 0, 0, 0]) if pose is None else np.asarray(pose, float)
+        body = (parent or spec.worldbody).add_body(name=name, pos=pose[4:], quat=pose[:4])
+        if free:
+            body.add_freejoint(name=f"{name}_joint")
+        body.mass = self.mass
+        body.ipos = np.zeros(3)
+        i = self.inertia
+        body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+        body.explicitinertial = True
+        for k, piece in enumerate(self.pieces):
+            geom = body.add_geom(
+                name=f"{name}_c{k}",
+                group=COLLISION_GROUP,
+                condim=4,
+                friction=[self.friction, 0.004, 0.0001],
+                solref=[0.006, 1.0],
+                solimp=[0.95, 0.99, 0.001, 0.5, 2],
+                rgba=[*self.rgba[:3], 0.5],
+            )
+            if self.shape == "box":
+                geom.type = mujoco.mjtGeom.mjGEOM_BOX
+                geom.size = self.size / 2
+            else:
+                geom.type = mujoco.mjtGeom.mjGEOM_MESH
+                geom.meshname = self._collision_mesh(spec, k, piece)
+        for k, look in enumerate(self.looks or self._plain_looks):
+            meshname, material = self._visual_assets(spec, k, look)
+            body.add_geom(
+                name=f"{name}_v{k}",
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=meshname,
+                material=material,
+                group=VISUAL_GROUP,
+                contype=0,
+                conaffinity=0,
+                mass=0.0,
+            )
+        return body
+
+    @cached_property
+    def _plain_looks(self) -> tuple[Look, ...]:
+        return tuple(faceted(piece, self.rgba) for piece in self.pieces)
+
+    def _collision_mesh(self, spec: mujoco.MjSpec, k: int, piece: np.ndarray) -> str:
+        meshname = f"{self.name}_c{k}"
+        if spec.mesh(meshname) is None:
+            hull = ConvexHull(piece)
+            mesh = spec.add_mesh(name=meshname, maxhullvert=MAX_HULL_VERTICES)
+            mesh.uservert = piece.ravel()
+            mesh.userface = _outward(piece, hull).ravel()
+        return meshname
+
+    def _visual_assets(self, spec: mujoco.MjSpec, k: int, look: Look) -> tuple[str, str]:
+        asset = f"{self.name}_v{k}"
+        if spec.mesh(asset) is None:
+            mesh = spec.add_mesh(name=asset, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+            mesh.uservert = look.vertices.ravel()
+            mesh.userface = look.faces.ravel()
+            mesh.usernormal = look.normals.ravel()
+            material = spec.add_material(name=asset, rgba=look.rgba, specular=look.specular, shininess=look.shininess)
+            if look.texture is not None and look.texcoords is not None:
+                mesh.usertexcoord = np.column_stack([look.texcoords[:, 0], 1.0 - look.texcoords[:, 1]]).ravel()
+                texture = spec.add_texture(name=asset, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
+                texture.height, texture.width = look.texture.shape[:2]
+                texture.data = look.texture.tobytes()
+                material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = asset
+        return asset, asset
+
+
+def solid(
+    name: str,
+    label: str,
+    mass: float,
+    pieces: Sequence[Float[np.ndarray, "N 3"]],
+    *,
+    shape: Literal["box", "mesh"] = "mesh",
+    looks: Sequence[Look] = (),
+    rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0),
+    friction: float = 0.6,
+) -> ObjectModel:
+    """An object of uniform density: its frame is moved to the centre of mass of ``pieces``.
+
+    Args:
+        name, label, mass, rgba, friction, shape: see `ObjectModel`.
+        pieces: convex pieces, (N, 3) metres, z up, which must not overlap.
+        looks: surfaces in the same frame as ``pieces``.
+    """
+    volume, center, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    for piece in pieces:
+        v, c, s = _moments(np.asarray(piece, float))
+        volume, center, second = volume + v, center + v * c, second + s
+    center = center / volume
+    second = second - volume * np.outer(center, center)
+    inertia = mass / volume * (np.trace(second) * np.eye(3) - second)
+    return ObjectModel(
+        name=name,
+        label=label,
+        mass=mass,
+        pieces=tuple(np.asarray(piece, float) - center for piece in pieces),
+        inertia=inertia,
+        shape=shape,
+        looks=tuple(look.shifted(-center) for look in looks),
+        rgba=rgba,
+        friction=friction,
+    )
+
+
+def _moments(points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Volume, centroid and ∫xxᵀdV about the frame's origin of the hull of ``points``, summed over tetrahedra."""
+    hull = ConvexHull(points)
+    inside = points.mean(axis=0)
+    corners = points[hull.simplices] - inside
+    volumes = np.abs(np.linalg.det(corners)) / 6
+    volume = volumes.sum()
+    sums = corners.sum(axis=1)
+    centroid = (volumes[:, None] * sums).sum(axis=0) / 4 / volume
+    # For a tetrahedron with one corner at the origin: ∫xxᵀ = V/20 (Σ aᵢaᵢᵀ + (Σ aᵢ)(Σ aᵢ)ᵀ).
+    second = np.einsum("t,tij,tik->jk", volumes, corners, corners) + np.einsum("t,tj,tk->jk", volumes, sums, sums)
+    second = second / 20
+    center = centroid + inside
+    moment = volume * (np.outer(inside, centroid) + np.outer(centroid, inside) + np.outer(inside, inside))
+    return float(volume), center, second + moment
+
+
+def _outward(points: np.ndarray, hull: ConvexHull) -> Int[np.ndarray, "M 3"]:
+    """Hull triangles ordered counter-clockwise from outside."""
+    faces = hull.simplices.copy()
+    a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+    flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[flip] = faces[flip][:, ::-1]
+    return faces
+
+
+def faceted(points: Float[np.ndarray, "N 3"], rgba: tuple[float, float, float, float]) -> Look:
+    """The hull of ``points`` drawn with flat facets."""
+    hull = ConvexHull(points)
+    faces = _outward(points, hull)
+    return Look(
+        vertices=points[faces].reshape(-1, 3),
+        faces=np.arange(faces.size).reshape(-1, 3),
+        normals=np.repeat(hull.equations[:, :3], 3, axis=0),
+        rgba=rgba,
+    )
