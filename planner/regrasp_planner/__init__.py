@@ -1,0 +1,47 @@
+"""Differentiable planning of pick-and-place with regrasp.
+
+Importing the package switches JAX to 64-bit floats (support functions and their argmins need them) and, unless the
+user has configured one, turns on JAX's persistent compilation cache in ``$REGRASP_CACHE_DIR`` (default
+``~/.cache/regrasp-gym/jax``), so that a second process does not compile again.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import jax
+
+
+def _configure_jax() -> None:
+    jax.config.update("jax_enable_x64", True)
+    if jax.config.jax_compilation_cache_dir is None:
+        folder = os.environ.get("REGRASP_CACHE_DIR") or Path.home() / ".cache" / "regrasp-gym" / "jax"
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+_configure_jax()
+
+from regrasp_planner.errors import GeometryError, RegraspError  # noqa: E402
+from regrasp_planner.geometry import ConvexBody, certified_distance, separation, signed_distance  # noqa: E402
+from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
+from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
+
+__all__ = [
+    "Arm",
+    "Body",
+    "ConvexBody",
+    "GeometryError",
+    "Gripper",
+    "Obstacle",
+    "RegraspError",
+    "ReleaseArea",
+    "Robot",
+    "Scene",
+    "Task",
+    "certified_distance",
+    "separation",
+    "signed_distance",
+]

@@ -1,0 +1,15 @@
+"""Exceptions of the planner. Each message names the thing, its value and what to do about it."""
+
+from __future__ import annotations
+
+
+class RegraspError(Exception):
+    """Base of every exception that the planner raises on purpose."""
+
+
+class GeometryError(RegraspError, ValueError):
+    """A shape that is no usable convex body: wrong array shape, not finite, too few points, or without volume."""
+
+
+class PoseError(RegraspError, ValueError):
+    """A pose array of the wrong shape, not finite, or with a quaternion that is not of unit length."""
