@@ -1,0 +1,200 @@
+"""Augmented Lagrangian on problems with known solutions, and against scipy."""
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+import scipy.optimize
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from regrasp_planner.optim import SE3, Euclidean, Product, Sphere, Status, augmented_lagrangian
+
+NONE = jnp.zeros(0)
+
+
+def rosenbrock_above(x, params):
+    return 100 * (x[1] - x[0] ** 2) ** 2 + (1 - x[0]) ** 2, NONE, jnp.array([x[1] + 1.5])
+
+
+def hock_schittkowski_6(x, params):
+    return (1 - x[0]) ** 2, jnp.array([10 * (x[1] - x[0] ** 2)]), NONE
+
+
+def hock_schittkowski_7(x, params):
+    return jnp.log(1 + x[0] ** 2) - x[1], jnp.array([(1 + x[0] ** 2) ** 2 + x[1] ** 2 - 4]), NONE
+
+
+def hock_schittkowski_10(x, params):
+    return x[0] - x[1], NONE, jnp.array([-3 * x[0] ** 2 + 2 * x[0] * x[1] - x[1] ** 2 + 1])
+
+
+def hock_schittkowski_43(x, params):
+    a, b, c, d = x
+    value = a**2 + b**2 + 2 * c**2 + d**2 - 5 * a - 5 * b - 21 * c + 7 * d
+    rows = [
+        8 - (x**2).sum() - a + b - c + d,
+        10 - a**2 - 2 * b**2 - c**2 - 2 * d**2 + a + d,
+        5 - 2 * a**2 - b**2 - c**2 - 2 * a + b + d,
+    ]
+    return value, NONE, jnp.stack(rows)
+
+
+def hock_schittkowski_71(x, params):
+    value = x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2]
+    return value, jnp.array([(x**2).sum() - 40]), jnp.concatenate([jnp.array([jnp.prod(x) - 25]), x - 1, 5 - x])
+
+
+@pytest.mark.parametrize(
+    ("problem", "start", "optimum"),
+    [
+        (rosenbrock_above, [-2.0, 1.0], 0.0),
+        (hock_schittkowski_6, [-1.2, 1.0], 0.0),
+        (hock_schittkowski_7, [2.0, 2.0], -np.sqrt(3)),
+        (hock_schittkowski_10, [-10.0, 10.0], -1.0),
+        (hock_schittkowski_43, [0.0, 0.0, 0.0, 0.0], -44.0),
+        (hock_schittkowski_71, [1.0, 5.0, 5.0, 1.0], 17.0140173),
+    ],
+    ids=["HS1", "HS6", "HS7", "HS10", "HS43", "HS71"],
+)
+def test_hock_schittkowski(problem, start, optimum):
+    """W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes, 1981: optimum values listed there."""
+    result = augmented_lagrangian(problem, jnp.array(start), Euclidean(len(start)))
+    assert int(result.status) == Status.CONVERGED
+    assert float(result.value) == pytest.approx(optimum, abs=1e-5)
+    assert float(result.violation) <= 1e-6
+    assert int(result.evaluations) <= 100
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**31 - 1))
+def test_quadratic_programs_agree_with_scipy(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(4, 4))
+    data = (
+        root @ root.T + 0.2 * np.eye(4),
+        rng.normal(size=4),
+        rng.normal(size=(1, 4)),
+        rng.normal(size=(5, 4)),
+        rng.uniform(0, 1, 5),
+    )
+    h, g, a, c, b = data
+    result = solve_quadratic_program(data)
+    oracle = scipy.optimize.minimize(
+        lambda x: 0.5 * x @ h @ x + g @ x,
+        np.zeros(4),
+        jac=lambda x: h @ x + g,
+        method="SLSQP",
+        options={"ftol": 1e-12},
+        constraints=[
+            {"type": "eq", "fun": lambda x: a @ x, "jac": lambda x: a},
+            {"type": "ineq", "fun": lambda x: c @ x + b, "jac": lambda x: c},
+        ],
+    )
+    assert oracle.success
+    np.testing.assert_allclose(result.point, oracle.x, atol=1e-4)
+    # Karush–Kuhn–Tucker: stationarity, signs, complementarity.
+    mu = result.inequality_multipliers
+    stationarity = h @ result.point + g - a.T @ result.equality_multipliers - c.T @ mu
+    np.testing.assert_allclose(stationarity, 0, atol=1e-4)
+    assert np.all(mu >= 0)
+    np.testing.assert_allclose(mu * (c @ result.point + b), 0, atol=1e-4)
+
+
+@jax.jit
+def solve_quadratic_program(data):
+    def problem(x, params):
+        h, g, a, c, b = params
+        return 0.5 * x @ h @ x + g @ x, a @ x, c @ x + b
+
+    return augmented_lagrangian(problem, jnp.zeros(4), Euclidean(4), params=data, max_evaluations=300)
+
+
+def test_cap_of_the_sphere():
+    """The lowest point of the cap x·a ≥ cos α, |x| = 1 lies on its rim, on the meridian of a."""
+    tilt, half_angle = 0.9, 0.4
+    axis = jnp.array([np.sin(tilt), 0.0, np.cos(tilt)])
+
+    def problem(x, params):
+        return x[2], NONE, (x @ axis - jnp.cos(half_angle))[None]
+
+    starts = jax.vmap(Sphere().random_point)(jax.random.split(jax.random.key(0), 8))
+    result = jax.vmap(lambda x: augmented_lagrangian(problem, x, Sphere()))(starts)
+    assert np.all(result.status == Status.CONVERGED)
+    expected = [np.sin(tilt + half_angle), 0.0, np.cos(tilt + half_angle)]
+    np.testing.assert_allclose(result.point, np.tile(expected, (8, 1)), atol=1e-5)
+
+
+def test_pose_with_pinned_points_on_a_product():
+    """A pose that maps p into the plane z = 0 and q onto a movable point (t, 0, 0), closest to a given pose."""
+    manifold = Product((SE3(), Euclidean(1)))
+    p, q = jnp.array([0.2, 0.1, 0.0]), jnp.array([-0.1, 0.2, 0.1])
+    goal = SE3().random_point(jax.random.key(4))
+
+    def problem(point, params):
+        pose, t = point
+        pose = jaxlie.SE3(pose)
+        apart = jaxlie.SE3(goal).as_matrix() - pose.as_matrix()
+        pinned = pose @ q - jnp.array([1.0, 0, 0]) * t
+        return jnp.sum(apart**2), jnp.concatenate([(pose @ p)[2:], pinned]), 0.5 - t
+
+    result = augmented_lagrangian(problem, (goal, jnp.zeros(1)), manifold)
+    assert int(result.status) == Status.CONVERGED
+    pose, t = jaxlie.SE3(result.point[0]), result.point[1]
+    assert abs(float((pose @ p)[2])) < 1e-6
+    np.testing.assert_allclose(pose @ q, [float(t[0]), 0, 0], atol=1e-6)
+    assert float(t[0]) <= 0.5 + 1e-6
+
+
+def test_contradiction_is_reported_infeasible():
+    result = augmented_lagrangian(
+        lambda x, p: (x[0] ** 2, x - jnp.array([1.0, -1.0]) * jnp.ones(2), NONE), jnp.zeros(2), Euclidean(2)
+    )
+    assert int(result.status) == Status.CONVERGED
+    both = augmented_lagrangian(
+        lambda x, p: (x[0] ** 2, jnp.stack([x[0] - 1, x[0] + 1]), NONE), jnp.zeros(1), Euclidean(1)
+    )
+    assert int(both.status) == Status.INFEASIBLE
+    assert float(both.violation) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_early_stop_at_a_feasible_point_saves_evaluations():
+    options = {"max_evaluations": 300, "gradient_tolerance": 1e-12, "constraint_tolerance": 1e-4}
+    start = jnp.array([1.0, 5.0, 5.0, 1.0])
+    full = augmented_lagrangian(hock_schittkowski_71, start, Euclidean(4), **options)
+    early = augmented_lagrangian(
+        hock_schittkowski_71, start, Euclidean(4), stall_decrease=1e-3, stall_steps=2, **options
+    )
+    assert int(early.status) == Status.STALLED
+    assert int(early.evaluations) < int(full.evaluations)
+    assert float(early.violation) <= 1e-4
+    assert float(early.value) == pytest.approx(float(full.value), abs=1e-2)
+
+
+def test_budget_returns_the_least_violating_point():
+    result = augmented_lagrangian(
+        hock_schittkowski_71, jnp.array([1.0, 5.0, 5.0, 1.0]), Euclidean(4), max_evaluations=3
+    )
+    assert int(result.status) == Status.BUDGET
+    assert int(result.evaluations) == 3
+
+
+def test_problem_is_traced_twice_at_most():
+    traces = []
+
+    def problem(x, params):
+        traces.append(1)
+        return hock_schittkowski_43(x, params)
+
+    jax.jit(lambda x: augmented_lagrangian(problem, x, Euclidean(4)))(jnp.zeros(4))
+    assert len(traces) <= 2  # shapes, and the loop
+
+
+def test_lockstep_equals_one_by_one():
+    starts = jnp.array([[0.0, 0, 0, 0], [1.0, 1, 1, 1], [-1.0, 2, 0, 1]])
+    solve = lambda x: augmented_lagrangian(hock_schittkowski_43, x, Euclidean(4))  # noqa: E731
+    batch = jax.vmap(solve)(starts)
+    for i, start in enumerate(starts):
+        np.testing.assert_array_equal(batch.evaluations[i], solve(start).evaluations)
+        np.testing.assert_allclose(batch.point[i], solve(start).point, atol=1e-9)
