@@ -1,0 +1,1 @@
+"""Scenes: functions of a seed and a configuration, pure data."""

@@ -1,0 +1,27 @@
+"""Exceptions of the environments. Each message names the thing, its value and what to do about it."""
+
+from __future__ import annotations
+
+
+class EnvError(Exception):
+    """Base of every exception that the environments raise on purpose."""
+
+
+class ActionError(EnvError, ValueError):
+    """An action of the wrong shape, or with entries that are not finite."""
+
+
+class OptionError(EnvError, ValueError):
+    """An unknown value of an environment's argument or of a reset option."""
+
+
+class SceneError(EnvError, ValueError):
+    """A scene that cannot be made: unknown objects, objects too wide for the gripper, an area too small."""
+
+
+class StateError(EnvError, ValueError):
+    """A saved state that does not belong to this environment."""
+
+
+class DisplayError(EnvError, RuntimeError):
+    """A window or an off-screen picture was asked for, and there is no way to draw it here."""
