@@ -1,0 +1,539 @@
+"""GraspGen: force-closure grasps that are free of collision in several scenes at once (the paper's Alg. 1, eq. 1–4).
+
+The obstacles of all scenes are brought into the frame of the target, their union; a grasp found there holds in every
+one of them. Starts come from critical directions of the target's width function w(x) = h(x) + h(−x), whose support
+points are antipodal; only the approach angle about the closing axis and the offset along it are left free. All starts
+are evaluated once, and the augmented Lagrangian with the Riemannian trust region refines the most promising ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.support import ConvexBody, support_value
+from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
+from regrasp_planner.optim.manifold import SE3, Euclidean, Product, Sphere
+from regrasp_planner.optim.trust_region import trust_region
+from regrasp_planner.robot import Gripper
+from regrasp_planner.scene import Body, Pose, Scene
+
+OBSTACLE_BUCKETS = (8, 16, 24, 32, 48)
+FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
+"""Pose of the bodies that pad a batch of obstacles."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A grasp X = (g_G, θ_G) of the target.
+
+    Attributes:
+        pose: (7,) gripper frame in the frame of the target.
+        theta: finger coordinate at which both pads touch, in the gripper's unit.
+        opening: finger coordinate of the open gripper around the target, before closing and after opening.
+        quality: f = f_anti + f_align, at most 2.
+        clearance: least signed distance of the open gripper from the obstacles of all scenes, metres.
+    """
+
+    pose: Pose
+    theta: float
+    opening: float
+    quality: float
+    clearance: float
+
+    def gripper_pose(self, target_pose: Pose) -> Pose:
+        """Pose of the gripper (7,) in the world when the target is at ``target_pose``."""
+        return np.asarray((jaxlie.SE3(jnp.asarray(target_pose)) @ jaxlie.SE3(jnp.asarray(self.pose))).wxyz_xyz)
+
+
+@dataclass(frozen=True)
+class GraspGenOptions:
+    """Options of `generate_grasps`.
+
+    Attributes:
+        margin: collision margin δ_col of the open gripper from obstacles, metres per metre of gripper opening, so
+            that one value suits grippers of any size (0.06 is 5 mm for an 80 mm gripper).
+        quality_threshold: f_threshold of eq. (1).
+        max_axes: closing axes taken from the width function.
+        angles: approach angles about each closing axis.
+        refined: starts refined by the augmented Lagrangian.
+        max_evaluations: evaluations spent on one refined start.
+        sharpness: p of all bodies during the optimisation.
+        width_starts: starts of the search for critical directions of the width.
+    """
+
+    margin: float = 0.06
+    quality_threshold: float = 1.85
+    max_axes: int = 12
+    angles: int = 12
+    refined: int = 16
+    max_evaluations: int = 25
+    sharpness: int = 48
+    width_starts: int = 48
+
+
+class GraspResult(NamedTuple):
+    """Outcome of `generate_grasps`.
+
+    Attributes:
+        grasps: feasible grasps, best quality first; empty if none was found.
+        evaluations: evaluated grasps, every member of a batch counted (Table IV's eval-grasp calls).
+        reason: why there is none: "too wide", "enclosed" or "poor quality"; "" if there is one.
+    """
+
+    grasps: tuple[Grasp, ...]
+    evaluations: int
+    reason: str
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Problem:
+    """Arrays of one grasp problem: target pieces, union of obstacles, and the gripper reduced to few bodies.
+
+    ``hand`` stacks palm, finger 0 and finger 1 (the convex hull of each); ``pads`` the two contact bodies.
+    """
+
+    pieces: ConvexBody
+    center: Float[Array, " 3"]
+    obstacles: ConvexBody
+    obstacle_poses: Float[Array, "W 7"]
+    hand: ConvexBody
+    pads: ConvexBody
+    screws: Float[Array, "2 6"]
+    width_axis: Float[Array, " 3"]
+    lower: Float[Array, ""]
+    upper: Float[Array, ""]
+    margin: Float[Array, ""]
+    length: Float[Array, ""]
+
+
+class _Terms(NamedTuple):
+    quality: Float[Array, ""]
+    contact: Float[Array, " 2"]
+    clearance: Float[Array, ""]
+    violation: Float[Array, ""]
+    closing: Float[Array, ""]
+
+
+def union_obstacles(scenes: Sequence[Scene], reach: float) -> tuple[list[ConvexBody], Float[np.ndarray, "W 7"]]:
+    """The union of the scenes' obstacles in the target's frame, without those out of reach (Alg. 1, line 3).
+
+    Args:
+        scenes: scenes with the target's pose in each.
+        reach: radius about the target's origin beyond which no part of the gripper can be, metres.
+
+    Returns:
+        Pieces of the obstacles and their poses (W, 7) in the frame of the target.
+    """
+    pieces: list[ConvexBody] = []
+    poses: list[np.ndarray] = []
+    for scene in scenes:
+        turn = Rotation.from_quat(scene.target_pose[:4], scalar_first=True)
+        for obstacle in scene.obstacles:
+            rotation = turn.inv() * Rotation.from_quat(obstacle.pose[:4], scalar_first=True)
+            position = turn.inv().apply(obstacle.pose[4:] - scene.target_pose[4:])
+            for piece in obstacle.body.pieces:
+                vertices = rotation.apply(piece.hull_vertices()) + position
+                # A box around the piece, along the axes of the obstacle: cheap and tight enough for boards and tables.
+                own = rotation.inv().apply(vertices)
+                near = np.clip(np.zeros(3), own.min(0), own.max(0))
+                if np.linalg.norm(near) - float(piece.radius) > reach:
+                    continue
+                pieces.append(piece)
+                poses.append(np.concatenate([rotation.as_quat(scalar_first=True), position]))
+    return pieces, np.array(poses).reshape(-1, 7)
+
+
+def _bucket(count: int, buckets: Sequence[int]) -> int:
+    for size in buckets:
+        if count <= size:
+            return size
+    return -(-count // buckets[-1]) * buckets[-1]
+
+
+def _hull_of(bodies: ConvexBody, indices: np.ndarray) -> ConvexBody:
+    radius = float(np.min([bodies[int(i)].radius for i in indices]))
+    points = []
+    for i in indices:
+        body = bodies[int(i)]
+        # The hull of the swept pieces, with the smallest common radius kept as a sweep and the rest as a box about it.
+        extra = float(body.radius) - radius
+        corners = np.array(np.meshgrid(*[[-extra, extra]] * 3)).reshape(3, -1).T if extra > 0 else np.zeros((1, 3))
+        points.append((body.hull_vertices()[:, None] + corners).reshape(-1, 3))
+    return ConvexBody.from_vertices(np.concatenate(points), radius=radius, max_vertices=16)
+
+
+class GripperBodies(NamedTuple):
+    """A gripper reduced to what GraspGen needs: hulls of palm and fingers, pads, free length of the fingers."""
+
+    hand: ConvexBody
+    pads: ConvexBody
+    finger_length: float
+    tip_length: float
+
+
+_REDUCED: dict[int, tuple[Gripper, GripperBodies]] = {}
+
+
+def reduce_gripper(gripper: Gripper) -> GripperBodies:
+    """Convex hulls of the palm and of each finger, stacked, and the two pads; computed once per gripper.
+
+    ``finger_length`` is the distance from the palm to the gripper frame's origin along the approach axis, and
+    ``tip_length`` how far the fingers reach beyond it, metres.
+    """
+    cached = _REDUCED.get(id(gripper))
+    if cached is not None:
+        return cached[1]
+    owner = np.asarray(gripper.finger_of)
+    hulls = [_hull_of(gripper.palm, np.arange(gripper.palm.batch_size))]
+    hulls += [_hull_of(gripper.fingers, np.flatnonzero(owner == k)) for k in (0, 1)]
+    pads = [gripper.fingers[int(i)] for i in np.asarray(gripper.contact)]
+    approach = np.asarray(gripper.approach_axis)
+    palm_front = float(support_value(hulls[0], jnp.asarray(approach)))
+    tip = max(float(support_value(hull, jnp.asarray(approach))) for hull in hulls[1:])
+    reduced = GripperBodies(ConvexBody.stack(hulls), ConvexBody.stack(pads), -palm_front, tip)
+    _REDUCED[id(gripper)] = (gripper, reduced)
+    return reduced
+
+
+# ---------------------------------------------------------------------------------------------------- start points
+
+
+def _width(direction: Float[Array, " 3"], pieces: ConvexBody) -> Float[Array, ""]:
+    both = jnp.stack([direction, -direction])
+    heights = jax.vmap(lambda piece: jax.vmap(partial(support_value, piece))(both))(pieces)
+    return heights.max(axis=0).sum()
+
+
+@jax.jit
+def _width_minima(pieces: ConvexBody, starts: Float[Array, "K 3"]) -> tuple[Float[Array, "K 3"], Float[Array, " K"]]:
+    def solve(start: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+        result = trust_region(
+            _width, start, Sphere(), params=pieces, hessian="exact", max_evaluations=25, tolerance=1e-6
+        )
+        return result.point, result.value
+
+    return jax.vmap(solve)(starts)
+
+
+@lru_cache(maxsize=4)
+def _half_sphere(count: int) -> np.ndarray:
+    k = np.arange(count) + 0.5
+    z = k / count
+    angle = np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def closing_axes(
+    pieces: ConvexBody, max_width: float, options: GraspGenOptions
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+    """Axes along which the target can be taken between two parallel pads: local minima of its width function.
+
+    At a critical direction of w(x) = h(x) + h(−x) the support points s(x) and s(−x) differ by a multiple of x: they
+    are antipodal, with normals ±x. Where minima form a continuum (a cylinder, a ball) the starts spread over it.
+
+    Args:
+        pieces: the target's pieces, stacked, in its frame.
+        max_width: widest graspable width, metres.
+        options: number of starts and axes.
+
+    Returns:
+        (m, 3) unit axes, narrowest first, and (m,) widths. Empty if the target is too wide everywhere.
+    """
+    points, widths = _width_minima(
+        pieces.with_sharpness(options.sharpness), jnp.asarray(_half_sphere(options.width_starts))
+    )
+    points, widths = np.asarray(points), np.asarray(widths)
+    order = np.argsort(np.round(widths, 4), kind="stable")
+    # Finest grouping first (three degrees); a coarser one only where there are more axes than wanted.
+    for degrees in (3.0, 8.0, 15.0, 25.0, 40.0):
+        chosen: list[int] = []
+        for i in order:
+            if widths[i] > max_width or not np.isfinite(points[i]).all():
+                continue
+            if all(abs(points[i] @ points[j]) < np.cos(np.radians(degrees)) for j in chosen):
+                chosen.append(int(i))
+        if len(chosen) <= options.max_axes:
+            break
+    chosen = chosen[: options.max_axes]
+    return points[chosen], widths[chosen]
+
+
+def _perpendicular(axis: np.ndarray) -> np.ndarray:
+    other = np.eye(3)[np.argmin(np.abs(axis))]
+    first = np.cross(axis, other)
+    return first / np.linalg.norm(first)
+
+
+def grasp_starts(
+    hull: Float[np.ndarray, "N 3"], axes: Float[np.ndarray, "m 3"], gripper: Gripper, options: GraspGenOptions
+) -> tuple[Float[np.ndarray, "K 7"], Float[np.ndarray, " K"]]:
+    """Start grasps: each closing axis, approach angles about it, and a few offsets across the fingers.
+
+    The gripper is pushed as deep over the target as its palm allows, at most until the grasp centre is level with the
+    middle of the target; slender targets are also taken off their middle, to either side.
+
+    Returns:
+        (K, 7) gripper poses in the target's frame and (K,) finger coordinates.
+    """
+    reduced = reduce_gripper(gripper)
+    frame = np.stack([np.asarray(gripper.width_axis), np.asarray(gripper.approach_axis)], axis=1)
+    frame = np.column_stack([frame, np.cross(frame[:, 0], frame[:, 1])])
+    depth_margin = options.margin * float(gripper.max_opening)
+    poses, thetas = [], []
+    for axis in axes:
+        high, low = (hull @ axis).max(), (hull @ axis).min()
+        level = 0.5 * (high + low)
+        first = _perpendicular(axis)
+        second = np.cross(axis, first)
+        for turn in np.arange(options.angles) * (2 * np.pi / options.angles):
+            approach = np.cos(turn) * first + np.sin(turn) * second
+            across = np.cross(axis, approach)
+            along, sideways = hull @ approach, hull @ across
+            middle = 0.5 * (along.max() + along.min())
+            # Depth of the grasp centre along the approach, limited by the palm touching the nearest point.
+            depth = min(middle, along.min() + reduced.finger_length - depth_margin)
+            half = 0.5 * (sideways.max() - sideways.min())
+            mid = 0.5 * (sideways.max() + sideways.min())
+            offsets = (0.0,) if half < 0.5 * float(gripper.max_opening) else (0.0, 0.45 * half, -0.45 * half)
+            for offset in offsets:
+                origin = level * axis + depth * approach + (mid + offset) * across
+                world = np.column_stack([axis, approach, across])
+                rotation = Rotation.from_matrix(world @ frame.T)
+                poses.append(np.concatenate([rotation.as_quat(scalar_first=True), origin]))
+                thetas.append(_theta_of_width(gripper, high - low))
+    return np.array(poses).reshape(-1, 7), np.array(thetas)
+
+
+def _theta_of_width(gripper: Gripper, width: float) -> float:
+    """Finger coordinate at which the pads are ``width`` apart, by linear interpolation between the limits."""
+    share = width / float(gripper.max_opening)
+    low, high = float(gripper.lower), float(gripper.upper)
+    return float(np.clip(low + share * (high - low), low, high))
+
+
+# ------------------------------------------------------------------------------------------------------ optimisation
+
+
+def _terms(point: tuple[Array, Array], problem: _Problem) -> tuple[Array, Array, Array, Array]:
+    """Quality f, contact distances (2,), clearances of the open gripper (3W + P,), limits of θ (2,) at one grasp.
+
+    ``point`` is the gripper pose in the target's frame and θ in units of ``problem.length``.
+    """
+    pose, scaled = point
+    theta = scaled[0] * problem.length
+    hand = jaxlie.SE3(pose)
+    opened = jnp.minimum(theta + problem.margin, problem.upper)
+    closed_fingers = (hand @ jaxlie.SE3.exp(theta * problem.screws)).wxyz_xyz
+    open_fingers = (hand @ jaxlie.SE3.exp(opened * problem.screws)).wxyz_xyz
+    links = jnp.concatenate([pose[None], open_fingers])
+
+    n_pieces, n_obstacles = problem.pieces.batch_size, problem.obstacles.batch_size
+    identity = jnp.broadcast_to(jaxlie.SE3.identity().wxyz_xyz, (n_pieces, 7))
+    # One flat batch: pads against pieces, the palm against pieces, palm and fingers against obstacles.
+    first = ConvexBody.concatenate([problem.hand, problem.pads])
+    second = ConvexBody.concatenate([problem.pieces, problem.obstacles])
+    first_poses = jnp.concatenate([links, closed_fingers])
+    second_poses = jnp.concatenate([identity, problem.obstacle_poses])
+    pieces, obstacles = np.arange(n_pieces), n_pieces + np.arange(n_obstacles)
+    pairs = np.concatenate(
+        [
+            np.stack(np.meshgrid([3, 4], pieces, indexing="ij"), -1).reshape(-1, 2),
+            np.stack(np.meshgrid([0], pieces, indexing="ij"), -1).reshape(-1, 2),
+            np.stack(np.meshgrid([0, 1, 2], obstacles, indexing="ij"), -1).reshape(-1, 2),
+        ]
+    )
+    of_pair = separation(second[pairs[:, 1]], second_poses[pairs[:, 1]], first[pairs[:, 0]], first_poses[pairs[:, 0]])
+    touching = of_pair.distance[: 2 * n_pieces].reshape(2, n_pieces)
+    piece = jax.lax.stop_gradient(jnp.argmin(touching, axis=1))
+    contact = jnp.take_along_axis(touching, piece[:, None], axis=1)[:, 0]
+    clearance = of_pair.distance[2 * n_pieces :]
+
+    # Contact normals and points of the touched pieces, differentiated through the argmin of the distance problem.
+    touched = jnp.arange(2) * n_pieces + piece
+    (x1, x2), (s1, s2) = of_pair.direction[touched], of_pair.point_a[touched]
+    line = s1 - s2
+    line = line / jnp.sqrt(line @ line + 1e-12)
+    antipodal = -x1 @ x2 + x1 @ line
+    palm_center = hand.apply(problem.hand[0].center)
+    towards = problem.center - palm_center
+    towards = towards / jnp.sqrt(towards @ towards + 1e-12)
+    width_axis = hand.rotation().apply(problem.width_axis)
+    alignment = -0.5 * (width_axis @ towards) ** 2
+    limits = jnp.stack([theta - problem.lower, problem.upper - theta])
+    return antipodal + alignment, contact, clearance, limits
+
+
+def _al_problem(point: tuple[Array, Array], problem: _Problem) -> tuple[Array, Array, Array]:
+    quality, contact, clearance, limits = _terms(point, problem)
+    scale = 1.0 / problem.length
+    return -quality, contact * scale, jnp.concatenate([clearance - problem.margin, limits]) * scale
+
+
+@jax.jit
+def _screen(poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: _Problem) -> _Terms:
+    """Quality, contact, clearance and total violation of K grasps, without derivatives."""
+
+    def one(pose: Array, theta: Array) -> _Terms:
+        quality, contact, clearance, limits = _terms((pose, theta), problem)
+        lacking = jnp.sum(jnp.maximum(problem.margin - clearance, 0.0)) + jnp.sum(jnp.maximum(-limits, 0.0))
+        violation = (lacking + jnp.sum(jnp.abs(contact))) / problem.length
+        return _Terms(quality, contact, clearance.min(), violation, theta)
+
+    return jax.vmap(one)(poses, thetas)
+
+
+@partial(jax.jit, static_argnames=("length", "max_evaluations"))
+def _refine(
+    poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: _Problem, *, length: float, max_evaluations: int
+) -> tuple[Float[Array, "K 7"], _Terms, Int[Array, " K"]]:
+    """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep."""
+    manifold = Product((SE3(length=length), Euclidean(1)))
+
+    def one(pose: Array, theta: Array) -> tuple[Array, _Terms, Array]:
+        result = augmented_lagrangian(
+            _al_problem,
+            (pose, theta),
+            manifold,
+            params=problem,
+            max_evaluations=max_evaluations,
+            max_inner=6,
+            constraint_tolerance=2e-3,
+            gradient_tolerance=1e-3,
+            initial_penalty=20.0,
+            initial_radius=0.3,
+            stall_decrease=1e-3,
+            stall_steps=2,
+        )
+        count = problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size
+        clearance = result.inequalities[:count].min() * problem.length + problem.margin
+        terms = _Terms(-result.value, result.equalities * problem.length, clearance, result.violation, result.point[1])
+        return result.point[0], terms, result.evaluations
+
+    return jax.vmap(one)(poses, thetas)
+
+
+def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions) -> _Problem:
+    """The arrays of one problem (4), padded so that scenes of similar size share one compiled program."""
+    reduced = reduce_gripper(gripper)
+    hull = target.hull_vertices()
+    size = float(np.linalg.norm(hull, axis=1).max())
+    corners = np.concatenate([reduced.hand[k].hull_vertices() for k in range(3)])
+    reach = size + float(np.linalg.norm(corners, axis=1).max() + gripper.max_opening)
+    bodies, poses = union_obstacles(scenes, reach)
+    padding = _bucket(max(len(bodies), 1), OBSTACLE_BUCKETS) - len(bodies)
+    bodies = bodies + [ConvexBody.box((0.01, 0.01, 0.01))] * padding
+    poses = np.concatenate([poses, np.tile(FAR_AWAY, (padding, 1))])
+    pieces = ConvexBody.stack(list(target.pieces))
+    obstacles = ConvexBody.stack(bodies)
+    obstacles = obstacles.padded_to(vertices=max(32, obstacles.vertices.shape[-2]))
+    pieces = pieces.padded_to(vertices=obstacles.vertices.shape[-2])
+    return _Problem(
+        pieces=pieces.with_sharpness(options.sharpness),
+        center=jnp.asarray(target.center_of_mass, float),
+        obstacles=obstacles.with_sharpness(options.sharpness),
+        obstacle_poses=jnp.asarray(poses),
+        hand=reduced.hand.with_sharpness(options.sharpness),
+        pads=reduced.pads.with_sharpness(options.sharpness),
+        screws=jnp.asarray(gripper.screws),
+        width_axis=jnp.asarray(gripper.width_axis),
+        lower=jnp.asarray(gripper.lower),
+        upper=jnp.asarray(gripper.upper),
+        margin=jnp.asarray(options.margin * float(gripper.max_opening)),
+        length=jnp.asarray(float(gripper.max_opening)),
+    )
+
+
+def generate_grasps(
+    target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions | None = None
+) -> GraspResult:
+    """Grasps that hold the target and keep clear of the obstacles of all ``scenes`` (Alg. 1).
+
+    Args:
+        target: the body to take, convex pieces in its own frame.
+        scenes: scenes the same grasp must be feasible in, such as pick and place.
+        gripper: the two-finger gripper.
+        options: see `GraspGenOptions`.
+
+    Returns:
+        `GraspResult`; without a feasible grasp it is empty and says why.
+    """
+    options = options or GraspGenOptions()
+    length = float(gripper.max_opening)
+    problem = grasp_problem(target, scenes, gripper, options)
+    axes, _ = closing_axes(problem.pieces, length * (1 - 0.25 * options.margin), options)
+    if len(axes) == 0:
+        return GraspResult((), 0, "too wide")
+    poses, thetas = grasp_starts(target.hull_vertices(), axes, gripper, options)
+    poses, thetas = _spread(poses, thetas)
+    scaled = thetas[:, None] / length
+    screened = jax.device_get(_screen(jnp.asarray(poses), jnp.asarray(scaled), problem))
+    merit = screened.violation - 0.2 * screened.quality
+    chosen = _diverse(poses, merit, options.refined)
+    refined, terms, spent = jax.device_get(
+        _refine(
+            jnp.asarray(poses[chosen]),
+            jnp.asarray(scaled[chosen]),
+            problem,
+            length=length,
+            max_evaluations=options.max_evaluations,
+        )
+    )
+    evaluations = len(poses) + int(spent.sum())
+    grasps = []
+    contact_found = False
+    for pose, quality, clearance, violation, theta in zip(
+        refined, terms.quality, terms.clearance, terms.violation, terms.closing[:, 0] * length, strict=True
+    ):
+        if not np.isfinite(violation) or violation > 0.01:
+            continue
+        contact_found = True
+        if quality < options.quality_threshold:
+            continue
+        opening = min(theta + options.margin * length, float(gripper.upper))
+        grasps.append(Grasp(np.asarray(pose), float(theta), float(opening), float(quality), float(clearance)))
+    if not grasps:
+        return GraspResult((), evaluations, "poor quality" if contact_found else "enclosed")
+    grasps.sort(key=lambda grasp: -grasp.quality)
+    return GraspResult(tuple(_distinct(grasps, length)), evaluations, "")
+
+
+def _spread(poses: np.ndarray, thetas: np.ndarray, limit: int = 144) -> tuple[np.ndarray, np.ndarray]:
+    """At most ``limit`` starts, evenly taken, padded to a bucket by repetition so that few programs serve all."""
+    if len(poses) > limit:
+        taken = np.linspace(0, len(poses) - 1, limit).round().astype(int)
+    else:
+        taken = np.resize(np.arange(len(poses)), _bucket(len(poses), (36, 72, 144)))
+    return poses[taken], thetas[taken]
+
+
+def _diverse(poses: np.ndarray, merit: np.ndarray, count: int) -> np.ndarray:
+    """Indices of ``count`` different starts in order of merit, repeated if there are fewer."""
+    _, first = np.unique(np.round(poses, 9), axis=0, return_index=True)
+    order = first[np.argsort(merit[first], kind="stable")]
+    return np.resize(order[:count], count)
+
+
+def _distinct(grasps: list[Grasp], length: float) -> list[Grasp]:
+    kept: list[Grasp] = []
+    for grasp in grasps:
+        turn = Rotation.from_quat(grasp.pose[:4], scalar_first=True)
+        for other in kept:
+            angle = (turn.inv() * Rotation.from_quat(other.pose[:4], scalar_first=True)).magnitude()
+            if angle < 0.05 and np.linalg.norm(grasp.pose[4:] - other.pose[4:]) < 0.05 * length:
+                break
+        else:
+            kept.append(grasp)
+    return kept
