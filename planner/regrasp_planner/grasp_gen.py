@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.distance import separation
