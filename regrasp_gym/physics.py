@@ -14,8 +14,8 @@ IMPRATIO = 100.0
 def configure(spec: mujoco.MjSpec) -> None:
     """Set the integrator, the contact model and the rendering quality of ``spec``, in place.
 
-    Elliptic friction cones with a high ``impratio`` hold a grasped object: over 20 s it creeps less than 0.2 mm, without
-    the no-slip pass, which would cost as much as the rest of the step. What is left is MuJoCo's velocity-level
+    Elliptic friction cones with a high ``impratio`` hold a grasped object: over 20 s it creeps less than 0.2 mm,
+    without the no-slip pass, which would cost as much as the rest of the step. What is left is MuJoCo's velocity-level
     friction, which loses about 1 mm per second while the hand turns at 2 rad/s, in proportion to the time constant of
     the pads' contacts; these are therefore as stiff as the time step allows. Shadow maps of 1024 texels make software
     rendering several times faster.

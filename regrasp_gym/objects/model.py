@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Literal
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
+
+from regrasp_gym.looks import Look, Rgba, add_look, faceted
 
 if TYPE_CHECKING:
     from regrasp_planner.scene import Body
@@ -19,44 +21,7 @@ MAX_HULL_VERTICES = 64
 """Most vertices of one convex piece: with more, MuJoCo's contacts at rest keep jittering."""
 
 COLLISION_GROUP = 3
-VISUAL_GROUP = 2
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """A surface that is seen and never touched.
-
-    Attributes:
-        vertices: (N, 3) metres, object frame.
-        faces: (M, 3) vertex indices, counter-clockwise from outside.
-        normals: (N, 3) unit outward normals.
-        rgba: colour, multiplied with the texture if there is one.
-        texcoords: (N, 2) texture coordinates, v up, or None.
-        texture: (H, W, 3) image, first row on top, or None.
-        specular, shininess: in [0, 1].
-    """
-
-    vertices: Float[np.ndarray, "N 3"]
-    faces: Int[np.ndarray, "M 3"]
-    normals: Float[np.ndarray, "N 3"]
-    rgba: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    texcoords: Float[np.ndarray, "N 2"] | None = None
-    texture: UInt8[np.ndarray, "H W 3"] | None = None
-    specular: float = 0.3
-    shininess: float = 0.4
-
-    def shifted(self, offset: Float[np.ndarray, " 3"]) -> Look:
-        """The same surface moved by ``offset`` metres."""
-        return Look(
-            self.vertices + offset,
-            self.faces,
-            self.normals,
-            self.rgba,
-            self.texcoords,
-            self.texture,
-            self.specular,
-            self.shininess,
-        )
+"""Geom group of the shapes that touch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +50,7 @@ class ObjectModel:
     inertia: Float[np.ndarray, "3 3"]
     shape: Literal["box", "mesh"] = "mesh"
     looks: tuple[Look, ...] = ()
-    rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    rgba: Rgba = (0.7, 0.7, 0.7, 1.0)
     friction: float = 0.6
 
     @cached_property
@@ -176,17 +141,7 @@ class ObjectModel:
                 geom.type = mujoco.mjtGeom.mjGEOM_MESH
                 geom.meshname = self._collision_mesh(spec, k, piece)
         for k, look in enumerate(self.looks or self._plain_looks):
-            meshname, material = self._visual_assets(spec, k, look)
-            body.add_geom(
-                name=f"{name}_v{k}",
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=meshname,
-                material=material,
-                group=VISUAL_GROUP,
-                contype=0,
-                conaffinity=0,
-                mass=0.0,
-            )
+            add_look(spec, body, f"{self.name}_v{k}", look, geom_name=f"{name}_v{k}")
         return body
 
     @cached_property
@@ -202,22 +157,6 @@ class ObjectModel:
             mesh.userface = _outward(piece, hull).ravel()
         return meshname
 
-    def _visual_assets(self, spec: mujoco.MjSpec, k: int, look: Look) -> tuple[str, str]:
-        asset = f"{self.name}_v{k}"
-        if spec.mesh(asset) is None:
-            mesh = spec.add_mesh(name=asset, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-            mesh.uservert = look.vertices.ravel()
-            mesh.userface = look.faces.ravel()
-            mesh.usernormal = look.normals.ravel()
-            material = spec.add_material(name=asset, rgba=look.rgba, specular=look.specular, shininess=look.shininess)
-            if look.texture is not None and look.texcoords is not None:
-                mesh.usertexcoord = np.column_stack([look.texcoords[:, 0], 1.0 - look.texcoords[:, 1]]).ravel()
-                texture = spec.add_texture(name=asset, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
-                texture.height, texture.width = look.texture.shape[:2]
-                texture.data = look.texture.tobytes()
-                material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = asset
-        return asset, asset
-
 
 def solid(
     name: str,
@@ -227,7 +166,7 @@ def solid(
     *,
     shape: Literal["box", "mesh"] = "mesh",
     looks: Sequence[Look] = (),
-    rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0),
+    rgba: Rgba = (0.7, 0.7, 0.7, 1.0),
     friction: float = 0.6,
 ) -> ObjectModel:
     """An object of uniform density: its frame is moved to the centre of mass of ``pieces``.
@@ -281,15 +220,3 @@ def _outward(points: np.ndarray, hull: ConvexHull) -> Int[np.ndarray, "M 3"]:
     flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[flip] = faces[flip][:, ::-1]
     return faces
-
-
-def faceted(points: Float[np.ndarray, "N 3"], rgba: tuple[float, float, float, float]) -> Look:
-    """The hull of ``points`` drawn with flat facets."""
-    hull = ConvexHull(points)
-    faces = _outward(points, hull)
-    return Look(
-        vertices=points[faces].reshape(-1, 3),
-        faces=np.arange(faces.size).reshape(-1, 3),
-        normals=np.repeat(hull.equations[:, :3], 3, axis=0),
-        rgba=rgba,
-    )

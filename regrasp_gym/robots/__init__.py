@@ -1,0 +1,1 @@
+"""Robots: MuJoCo models and how the planner sees them."""

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from regrasp_gym.robots.panda_looks import add_looks
+
+if TYPE_CHECKING:
+    from regrasp_planner import Robot
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 """Names of the arm's joints, base to wrist."""
@@ -49,3 +53,26 @@ def build_spec() -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_string(xml)
     add_looks(spec)
     return spec
+
+
+def planner_robot(model: mujoco.MjModel | None = None) -> Robot:
+    """The Panda as the planner sees it.
+
+    Args:
+        model: a compiled model that holds the Panda under the names of `build_spec`; by default the Panda alone.
+    """
+    # Imported here because it loads JAX, which the physics alone does not need.
+    from regrasp_gym.robots.from_mjcf import robot_from_model
+
+    return robot_from_model(
+        build_spec().compile() if model is None else model,
+        name="panda",
+        base="link0",
+        joints=ARM_JOINTS,
+        tool_site=TCP_SITE,
+        finger_joints=FINGER_JOINTS,
+        pads=("left_pad_c", "right_pad_c"),
+        max_velocity=MAX_VELOCITY,
+        max_acceleration=MAX_ACCELERATION,
+        home=HOME,
+    )
