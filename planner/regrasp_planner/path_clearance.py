@@ -1,0 +1,458 @@
+"""Clearances along a path: which pairs of bodies come near, how near, and a certificate that nothing touches between.
+
+Two compiled programs serve every query of a robot. `_survey` bounds every pair at every configuration from below, and
+bounds how far the bodies of a pair can move against each other on the way to the neighbouring configurations;
+`_measure` gives distances and gradients of the few pairs the survey leaves open, as one flat batch.
+
+Motion bound. A body point turns with joint j at a radius of at most ρ_j (distance from the joint's axis to the body's
+bounding ball, plus its radius) at the configuration at hand. On the way to another configuration ρ_j can grow by no
+more than the motion m itself, so m ≤ Σ_j |Δq_j| (ρ_j + m), hence m ≤ Σ_j |Δq_j| ρ_j / (1 − Σ_j |Δq_j|); only the
+joints between the two bodies of a pair count. A pair whose exact distance at a configuration is larger than m cannot
+touch on the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from regrasp_planner.collision import CollisionArrays, CollisionModel, body_frames
+from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.support import ConvexBody, exact_support_value
+from regrasp_planner.robot import forward_kinematics
+from regrasp_planner.trajectory import Trajectory
+
+_CONFIGURATION_BUCKETS = (8, 64)
+_ROW_BUCKETS = (32, 128, 512)
+_ROUNDING = 2e-6
+"""What single precision may get wrong in a lower bound, metres, for a workspace of a few metres."""
+RELIEF_SLOPE = 0.05
+"""Growth of the required margin with the joint distance from an end of the path, metres per radian."""
+_TOUCH = 2e-4
+"""How much deeper (metres) than at the end itself a pair already in contact there may get close to that end."""
+_COARSE = 48
+"""Intervals that the certificate begins with."""
+_MAX_DEPTH = 14
+_FINEST = 5e-4
+"""Motion (metres) between neighbouring checked configurations below which a contact pair needs no certificate."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What all pairs do at N configurations.
+
+    Attributes:
+        q: (N, n) radians.
+        bounds: (N, P) lower bounds of the distances, metres.
+        motion: (N, P) bounds of how far the bodies of each pair move against each other, metres.
+        poses: (N, M, 7) world poses of all bodies.
+        axis, point: (N, n, 3) each joint's axis and a point on it, in the world.
+    """
+
+    q: Float[np.ndarray, "N n"]
+    bounds: Float[np.ndarray, "N P"]
+    motion: Float[np.ndarray, "N P"]
+    poses: Float[np.ndarray, "N M 7"]
+    axis: Float[np.ndarray, "N n 3"]
+    point: Float[np.ndarray, "N n 3"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Distances of pairs at configurations, row by row.
+
+    Attributes:
+        sample, pair: (R,) indices of the configuration and of the pair.
+        distance: (R,) by the support functions, metres.
+        certified: (R,) lower bound of the distance of the exact hulls, metres.
+        gradient: (R, n) of the distance by the joints, m/rad.
+    """
+
+    sample: Int[np.ndarray, " R"]
+    pair: Int[np.ndarray, " R"]
+    distance: Float[np.ndarray, " R"]
+    certified: Float[np.ndarray, " R"]
+    gradient: Float[np.ndarray, "R n"]
+
+    def collision(self, row: int, q: Float[np.ndarray, "N n"]) -> Collision:
+        """One row as a collision, given the configurations it indexes."""
+        sample = int(self.sample[row])
+        return Collision(int(self.pair[row]), q[sample], float(self.certified[row]), sample)
+
+
+@dataclass(frozen=True)
+class _End:
+    """An end of the path: its configuration, and the distances (P,) of pairs closer than their margin (inf: others)."""
+
+    configuration: Float[np.ndarray, " n"]
+    distance: Float[np.ndarray, " P"]
+    certified: Float[np.ndarray, " P"]
+
+
+@dataclass(frozen=True)
+class Collision:
+    """Where a path fails: the pair of bodies, the configuration, and their distance there.
+
+    Attributes:
+        pair: index of the pair in the collision model.
+        configuration: (n,) radians.
+        distance: metres, of the exact hulls (a lower bound).
+        sample: index of the configuration among those asked about.
+    """
+
+    pair: int
+    configuration: Float[np.ndarray, " n"]
+    distance: float
+    sample: int
+
+
+class PathClearance:
+    """Clearance of a robot (its fingers at θ, perhaps with a held body) among obstacles, for one path query.
+
+    At its ends a path may have to be nearer to something than the margin: an object held just above the table, fingers
+    beside the next object. There the margin of such a pair is what the end has, and grows from it by `RELIEF_SLOPE`
+    metres per radian of joint motion until it is the full margin again; so the path must leave, and not slide along.
+
+    Args:
+        model: bodies, pairs and margins.
+        theta: finger coordinate.
+        extra_margin: metres added to each pair's margin (what an optimiser needs so that its result keeps the margin).
+    """
+
+    def __init__(self, model: CollisionModel, theta: float, extra_margin: float = 0.0):
+        self.model, self.theta = model, float(theta)
+        arrays = model.arrays
+        self.valid: Bool[np.ndarray, " P"] = np.asarray(arrays.valid)
+        margin = np.asarray(arrays.margin, float)
+        # A negative margin allows that much overlap; "touching" then starts there.
+        self.floor: Float[np.ndarray, " P"] = np.minimum(margin, 0.0)
+        self.margin: Float[np.ndarray, " P"] = np.where(margin > 0, margin + extra_margin, margin)
+        self.pair_count = len(margin)
+        self._joints, self._far = _chain_of_pairs(model)
+        self._ends: list[_End] = []
+
+    def set_ends(self, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"]) -> None:
+        """Take the clearances at the ends of the path as the relieved margins there."""
+        ends = np.stack([start, goal])
+        found = self.measure(ends, self.margin)
+        self._ends = []
+        for i, q in enumerate(ends):
+            distance, certified = np.full((2, self.pair_count), np.inf)
+            rows = (found.sample == i) & (found.distance < self.margin[found.pair])
+            distance[found.pair[rows]] = found.distance[rows]
+            certified[found.pair[rows]] = found.certified[rows]
+            self._ends.append(_End(q, distance, certified))
+
+    def required(self, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N P"]:
+        """Distance (N, P) that each pair has to keep at each configuration, metres."""
+        out = np.repeat(self.margin[None], len(q), axis=0)
+        for end in self._ends:
+            relieved = np.flatnonzero(np.isfinite(end.distance))
+            away = RELIEF_SLOPE * np.linalg.norm(q - end.configuration, axis=1)
+            out[:, relieved] = np.minimum(out[:, relieved], end.distance[relieved] + away[:, None])
+        return out
+
+    def survey(self, q: Float[np.ndarray, "N n"], variation: Float[np.ndarray, "N n"] | None = None) -> Survey:
+        """Bounds of all pairs at N configurations.
+
+        Args:
+            q: (N, n) radians.
+            variation: (N, n) how far each joint turns from each configuration, radians; default 0.
+        """
+        variation = np.zeros_like(q) if variation is None else variation
+        parts: list[list[np.ndarray]] = []
+        for start in range(0, len(q), _CONFIGURATION_BUCKETS[-1]):
+            part = slice(start, start + _CONFIGURATION_BUCKETS[-1])
+            keep = len(q[part])
+            size = _bucket(keep, _CONFIGURATION_BUCKETS)
+            padded, turned = _pad(q[part], size), _pad(variation[part], size)
+            out = _survey(self.model.arrays, self._joints, self._far, padded, turned, self.theta)
+            bounds, motion, *rest = (np.asarray(array) for array in out)
+            parts.append([array[:keep] for array in (bounds.T, motion.T, *rest)])
+        joined = [arrays[0] if len(parts) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        return Survey(q, *joined)
+
+    def measure_rows(self, survey: Survey, sample: Int[np.ndarray, " R"], pair: Int[np.ndarray, " R"]) -> Measured:
+        """Distances and gradients of the given (configuration, pair) rows of a survey."""
+        count, n = len(sample), survey.q.shape[1]
+        distance, certified, gradient = np.empty(count), np.empty(count), np.empty((count, n))
+        pairs = self.model.pairs
+        for start in range(0, count, _ROW_BUCKETS[-1]):
+            part = slice(start, start + _ROW_BUCKETS[-1])
+            i, k = sample[part], pair[part]
+            size = _bucket(len(i), _ROW_BUCKETS)
+            a, b = pairs[k, 0], pairs[k, 1]
+            rows = (a, b, survey.poses[i, a], survey.poses[i, b], self._joints[k], survey.axis[i], survey.point[i])
+            d, c, g = _measure(self.model.arrays.bodies, *(_pad(array, size) for array in rows))
+            keep = len(i)
+            distance[part], certified[part] = np.asarray(d)[:keep], np.asarray(c)[:keep]
+            gradient[part] = np.asarray(g)[:keep]
+        return Measured(sample, pair, distance, certified, gradient)
+
+    def measure(self, q: Float[np.ndarray, "N n"], below: Float[np.ndarray, "*N P"]) -> Measured:
+        """Every pair that may be nearer than ``below`` (P,) or (N, P) metres at a configuration."""
+        survey = self.survey(q)
+        sample, pair = np.nonzero((survey.bounds < below) & self.valid)
+        return self.measure_rows(survey, sample, pair)
+
+    def free(self, q: Float[np.ndarray, "N n"]) -> Bool[np.ndarray, " N"]:
+        """Which configurations keep all required distances."""
+        required = self.required(q)
+        survey = self.survey(q)
+        open_rows = (survey.bounds < required) & self.valid
+        ok = np.ones(len(q), bool)
+        # The pair with the lowest bound first: most configurations in collision need no second look.
+        worst = np.where(open_rows, survey.bounds, np.inf).argmin(axis=1)
+        suspects = np.flatnonzero(open_rows.any(axis=1))
+        first = self.measure_rows(survey, suspects, worst[suspects])
+        ok[suspects] = first.distance >= required[suspects, worst[suspects]]
+        open_rows[suspects, worst[suspects]] = False
+        open_rows[~ok] = False
+        sample, pair = np.nonzero(open_rows)
+        rest = self.measure_rows(survey, sample, pair)
+        ok[sample[rest.distance < required[sample, pair]]] = False
+        return ok
+
+    def touching(self, q: Float[np.ndarray, "N n"], allowed: float = 0.0) -> Collision | None:
+        """The deepest overlap of the exact hulls by more than ``allowed`` metres over configurations, or None."""
+        found = self.measure(q, self.floor - allowed)
+        depth = found.certified - self.floor[found.pair]
+        if not len(depth) or depth.min() >= -allowed:
+            return None
+        return found.collision(int(depth.argmin()), q)
+
+    def certify(self, trajectory: Trajectory) -> tuple[Collision | None, float]:
+        """Check a whole trajectory, between its samples too, against the exact hulls.
+
+        On the way through an interval two bodies can close in by m₀ from its beginning and by m₁ from its end, with
+        m₀ + m₁ ≤ M, the bound of their motion over the interval (joints' variation from the control polygon of the
+        Hermite cubic). So they cannot touch if their distances at the two ends sum to more than M. Intervals that do
+        not pass are halved. A pair already closer than its margin at an end of the path cannot pass at that end; for
+        it, and only while its margin is relieved there, it is enough that configurations no more than 0.5 mm of motion
+        apart do not overlap, or, if the end itself does, not by 0.2 mm more than the end.
+
+        Returns:
+            A collision (None: the path is free), and the smallest certified distance met outside the relieved pairs,
+            metres (inf where nothing came near).
+        """
+        course = _Course(trajectory)
+        begin, end = course.begin(_COARSE)
+        nearest = np.inf
+        for depth in range(_MAX_DEPTH + 1):
+            closest, doubtful, collision = self._check_intervals(course, begin, end, depth == _MAX_DEPTH)
+            nearest = min(nearest, closest)
+            if collision is not None or not doubtful.any():
+                return collision, nearest
+            begin, end = course.halved(begin[doubtful], end[doubtful])
+        raise AssertionError("the last depth decides every interval")
+
+    def _check_intervals(
+        self, course: _Course, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"], last: bool
+    ) -> tuple[float, Bool[np.ndarray, " I"], Collision | None]:
+        """(smallest certified distance, intervals left open, collision) of some intervals of a trajectory."""
+        times, where = np.unique(np.concatenate([begin, end]), return_inverse=True)
+        left, right = where[: len(begin)], where[len(begin) :]
+        q = course.trajectory.at(times)
+        variation = np.zeros_like(q)
+        variation[left] = course.variation(begin, end)
+        survey = self.survey(q, variation)
+        relieved = self._contact_floor(q)
+        floor = np.where(np.isfinite(relieved), relieved, self.floor)
+        # Slack above touching, from the cheap bounds first.
+        slack = np.where(self.valid, survey.bounds - self.floor, np.inf)
+        motion = survey.motion[left]
+        near = slack[left] + slack[right] <= motion
+        needed = slack < 0
+        np.logical_or.at(needed, left, near)
+        np.logical_or.at(needed, right, near)
+        sample, pair = np.nonzero(needed)
+        found = self.measure_rows(survey, sample, pair)
+        slack[sample, pair] = found.certified - self.floor[pair]
+        plain = ~np.isfinite(relieved[sample, pair])
+        closest = float(found.certified[plain].min(initial=np.inf))
+        hit = np.flatnonzero(found.certified < floor[sample, pair])
+        if len(hit):
+            r = int(hit[np.argmin(times[sample[hit]])])
+            return closest, np.zeros(len(begin), bool), found.collision(r, q)
+        passed = slack[left] + slack[right] > motion
+        passed |= np.isfinite(relieved[left]) & np.isfinite(relieved[right]) & (motion < _FINEST)
+        doubtful = ~passed.all(axis=1)
+        if last and doubtful.any():
+            i = int(np.flatnonzero(doubtful)[0])
+            k = int(np.where(passed[i], np.inf, slack[left[i]]).argmin())
+            sure = float(slack[left[i], k] + self.floor[k])
+            return closest, doubtful, Collision(k, q[left[i]], sure, int(left[i]))
+        return closest, doubtful, None
+
+    def _contact_floor(self, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N P"]:
+        """Least distance allowed to pairs that start or end closer than their margin, near that end; inf elsewhere."""
+        out = np.full((len(q), self.pair_count), np.inf)
+        for end in self._ends:
+            relieved = np.flatnonzero(np.isfinite(end.distance))
+            exact, floor = end.certified[relieved], self.floor[relieved]
+            zone = (self.margin[relieved] - end.distance[relieved]) / RELIEF_SLOPE
+            near = np.linalg.norm(q - end.configuration, axis=1)[:, None] <= zone
+            least = np.where(exact >= floor, floor, exact - _TOUCH)
+            out[:, relieved] = np.minimum(out[:, relieved], np.where(near, least, np.inf))
+        return out
+
+
+class _Course:
+    """Intervals of a trajectory, and how far each joint turns in them."""
+
+    def __init__(self, trajectory: Trajectory):
+        self.trajectory = trajectory
+        pieces = self._within(trajectory.times[:-1], trajectory.times[1:])
+        self._turned = np.concatenate([np.zeros_like(pieces[:1]), np.cumsum(pieces, axis=0)])
+
+    def begin(self, count: int) -> tuple[Float[np.ndarray, " I"], Float[np.ndarray, " I"]]:
+        """About ``count`` intervals that cover everything, even in the turn of the joints, between samples."""
+        turned = self._turned.sum(axis=1)
+        at = np.searchsorted(turned, np.linspace(0.0, turned[-1], count + 1))
+        edges = np.unique(np.concatenate([[0], np.minimum(at, len(turned) - 1), [len(turned) - 1]]))
+        return self.trajectory.times[edges[:-1]], self.trajectory.times[edges[1:]]
+
+    def halved(
+        self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]
+    ) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " J"]]:
+        """Two intervals for each: split at a sample while there is one inside, in the middle of a piece after that."""
+        first, last = self._samples(begin, end)
+        middle = np.where(last - first > 1, self.trajectory.times[(first + last) // 2], 0.5 * (begin + end))
+        return np.concatenate([begin, middle]), np.concatenate([middle, end])
+
+    def variation(self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]) -> Float[np.ndarray, "I n"]:
+        """Bound of each joint's total variation over each interval, radians."""
+        first, last = self._samples(begin, end)
+        several = last - first > 1
+        out = self._turned[last] - self._turned[first]
+        out[~several] = self._within(begin[~several], end[~several])
+        return out
+
+    def _samples(
+        self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]
+    ) -> tuple[Int[np.ndarray, " I"], Int[np.ndarray, " I"]]:
+        times = self.trajectory.times
+        return np.searchsorted(times, begin, side="right") - 1, np.searchsorted(times, end, side="left")
+
+    def _within(self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]) -> Float[np.ndarray, "I n"]:
+        """Length of the control polygon of the Hermite cubic, for intervals within one piece each."""
+        q0, q1 = self.trajectory.at(begin), self.trajectory.at(end)
+        third = (end - begin)[:, None] / 3
+        c0 = q0 + third * self.trajectory.velocity_at(begin)
+        c1 = q1 - third * self.trajectory.velocity_at(end)
+        return np.abs(c0 - q0) + np.abs(c1 - c0) + np.abs(q1 - c1)
+
+
+def _chain_of_pairs(model: CollisionModel) -> tuple[Float[np.ndarray, "P n"], Int[np.ndarray, " P"]]:
+    """Signs (P, n) with which each joint moves the second body of a pair away from the first, and the outer body.
+
+    −1: the joint moves only the first body; +1: only the second; 0: both or none. The outer body (P,) is the one
+    further down the chain: the pair's relative motion is its motion seen from the other.
+    """
+    dof = model.arrays.robot.arm.dof
+    pairs = model.pairs
+    first, second = np.asarray(model.arrays.mover)[pairs].T
+    number = np.arange(1, dof + 1)
+    sign = (number <= second[:, None]).astype(float) - (number <= first[:, None]).astype(float)
+    return sign, np.where(first >= second, pairs[:, 0], pairs[:, 1]).astype(np.int32)
+
+
+@jax.jit
+def _survey(
+    arrays: CollisionArrays,
+    joints: Float[Array, "P n"],
+    far: Int[Array, " P"],
+    q: Float[Array, "N n"],
+    variation: Float[Array, "N n"],
+    theta: Float[Array, ""],
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Bounds and motions (both (P, N)), poses (N, M, 7), joint axes and points (N, n, 3).
+
+    Everything per pair is single precision, with configurations last: memory traffic is what it costs.
+    """
+    poses = jax.vmap(lambda one: body_frames(arrays, one, theta))(q)
+    frames = jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q)[:, 1:-1]
+    axis, point = jaxlie.SO3(frames[..., :4]) @ arrays.robot.arm.axes[None], frames[..., 4:]
+    centers = jaxlie.SE3(poses) @ arrays.box_center[None]
+
+    extent = jnp.linalg.norm(arrays.box_half, axis=-1) + arrays.bodies.radius
+    arm = centers[:, :, None, :] - point[:, None]
+    along = (arm * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
+    radius = jnp.linalg.norm(arm - along, axis=-1) + extent[:, None]
+    swing = (radius * variation[:, None]).T.astype(jnp.float32)
+    moves = jnp.abs(joints).T[:, :, None].astype(jnp.float32)
+    motion = (moves * swing[:, far]).sum(0)
+    turned = (moves * variation.T[:, None, :].astype(jnp.float32)).sum(0)
+    # Beyond a radian of turning the bound says nothing useful; the floor only keeps it finite.
+    motion = motion / jnp.maximum(1.0 - turned, 1e-6) * (1.0 + 1e-5)
+
+    rotations = jnp.moveaxis(jaxlie.SO3(poses[..., :4]).as_matrix().astype(jnp.float32), (0, 1), (3, 2))
+    place = jnp.moveaxis(centers.astype(jnp.float32), (0, 1), (2, 1))
+    half = arrays.box_half.T.astype(jnp.float32)[:, :, None]
+    a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
+    sweep = (arrays.bodies.radius[a] + arrays.bodies.radius[b]).astype(jnp.float32)[:, None]
+    bounds = _box_bounds(rotations[:, :, a], rotations[:, :, b], place[:, b] - place[:, a], half[:, a], half[:, b])
+    return bounds - sweep - _ROUNDING, motion, poses, axis, point
+
+
+def _box_bounds(
+    turn_a: Float[Array, "3 3 P N"],
+    turn_b: Float[Array, "3 3 P N"],
+    shift: Float[Array, "3 P N"],
+    half_a: Float[Array, "3 P 1"],
+    half_b: Float[Array, "3 P 1"],
+) -> Float[Array, "P N"]:
+    """Lower bound of the distance of two boxes: the larger of the gaps seen along the axes of either."""
+    axes = range(3)
+    relative = [[jnp.abs(sum(turn_a[k, i] * turn_b[k, j] for k in axes)) for j in axes] for i in axes]
+    gaps_a = [
+        jnp.abs(sum(turn_a[k, i] * shift[k] for k in axes)) - half_a[i] - sum(relative[i][j] * half_b[j] for j in axes)
+        for i in axes
+    ]
+    gaps_b = [
+        jnp.abs(sum(turn_b[k, j] * shift[k] for k in axes)) - half_b[j] - sum(relative[i][j] * half_a[i] for i in axes)
+        for j in axes
+    ]
+    bounds = []
+    for gaps in (gaps_a, gaps_b):
+        largest = jnp.maximum(jnp.maximum(gaps[0], gaps[1]), gaps[2])
+        outside = jnp.sqrt(sum(jnp.maximum(gap, 0.0) ** 2 for gap in gaps))
+        bounds.append(jnp.where(largest > 0, outside, largest))
+    return jnp.maximum(bounds[0], bounds[1])
+
+
+@jax.jit
+def _measure(
+    bodies: ConvexBody,
+    index_a: Int[Array, " R"],
+    index_b: Int[Array, " R"],
+    pose_a: Float[Array, "R 7"],
+    pose_b: Float[Array, "R 7"],
+    sign: Float[Array, "R n"],
+    axis: Float[Array, "R n 3"],
+    point: Float[Array, "R n 3"],
+) -> tuple[Array, Array, Array]:
+    body_a, body_b = bodies[index_a], bodies[index_b]
+    found = separation(body_a, pose_a, body_b, pose_b)
+    x = found.direction
+    reach_a = exact_support_value(body_a, jaxlie.SO3(pose_a[:, :4]).inverse() @ x)
+    reach_b = exact_support_value(body_b, jaxlie.SO3(pose_b[:, :4]).inverse() @ -x)
+    certified = (x * (pose_b[:, 4:] - pose_a[:, 4:])).sum(-1) - reach_a - reach_b
+    # A joint moves the second body (+) or the first (−), and its witness point with it.
+    witness = jnp.where(sign[..., None] > 0, found.point_b[:, None], found.point_a[:, None])
+    gradient = sign * (jnp.cross(axis, witness - point) * x[:, None]).sum(-1)
+    return found.distance, certified, gradient
+
+
+def _bucket(count: int, buckets: tuple[int, ...]) -> int:
+    return next((size for size in buckets if size >= count), buckets[-1])
+
+
+def _pad(values: np.ndarray, size: int) -> np.ndarray:
+    """Repeat the last entry up to ``size``."""
+    return np.concatenate([values, np.repeat(values[-1:], size - len(values), axis=0)])
