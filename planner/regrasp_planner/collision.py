@@ -1,0 +1,445 @@
+"""Collision model shared by inverse kinematics and path planning: which bodies, which pairs, how far apart.
+
+All bodies form one stacked list: robot bodies (numbered as in `Robot.self_pairs`), held pieces, world pieces. What is
+to be checked is a list of index pairs into it, each with the margin it needs. Both lists are padded to bucket sizes,
+so that one compiled program serves every scene.
+
+Distances cost microseconds per pair, so pairs are culled first: each body's core lies in a box along its own axes, and
+the gap of two such boxes, seen along the axes of either, is a rigorous lower bound of the distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.support import ConvexBody, exact_support_value
+from regrasp_planner.robot import Robot, body_poses, forward_kinematics, robot_bodies
+from regrasp_planner.scene import Obstacle
+
+MAX_VERTICES = 32
+"""Bodies with more are thinned outwards (0.6 mm on a can): an arm needs no finer shapes, and time goes with them."""
+WORLD_BUCKETS = (16, 32, 64, 128, 256)
+HELD_BUCKETS = (1, 4, 16, 64)
+PAIR_BUCKET = 256
+CONFIGURATION_BUCKETS = (8, 64, 512)
+DISTANCE_BUCKETS = (64, 512)
+IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class CollisionArrays:
+    """Bodies and pairs as arrays: R robot, H held and W world bodies, M = R + H + W, and P pairs, all padded.
+
+    Attributes:
+        robot: the robot; its bodies are the first R of ``bodies``.
+        bodies: (M, V, 3) each in its own frame.
+        local_poses: (M, 7) for held bodies the pose in the gripper frame, for world bodies the pose in the world.
+        held: (H,) indices of the held bodies (its length is what jitted code takes H from).
+        mover: (M,) number of the last joint that moves the body; 0 for what stands still.
+        box_center, box_half: (M, 3) box of the body's core (without the sweep) along the axes of its frame, metres.
+        pairs: (P, 2) indices of bodies.
+        margin: (P,) distance the pair has to keep, metres; negative where some overlap is allowed.
+        valid: (P,) false for padding.
+    """
+
+    robot: Robot
+    bodies: ConvexBody
+    local_poses: Float[Array, "M 7"]
+    held: Int[Array, " H"]
+    mover: Int[Array, " M"]
+    box_center: Float[Array, "M 3"]
+    box_half: Float[Array, "M 3"]
+    pairs: Int[Array, "P 2"]
+    margin: Float[Array, " P"]
+    valid: Bool[Array, " P"]
+
+
+@dataclass(frozen=True)
+class CollisionModel:
+    """A `CollisionArrays` with what only the host needs: names for messages.
+
+    Attributes:
+        arrays: what jitted functions take as an argument.
+        body_names: (M,) "link3", "palm", "finger0", "held", or the obstacle's name; empty for padding.
+        pairs: (P, 2) the pairs, on the host.
+    """
+
+    arrays: CollisionArrays
+    body_names: tuple[str, ...]
+    pairs: Int[np.ndarray, "P 2"]
+
+    def describe(self, pair: int) -> str:
+        """Names of the two bodies of a pair."""
+        a, b = self.pairs[pair]
+        return f"{self.body_names[a]} – {self.body_names[b]}"
+
+    def kind(self, pair: int) -> str:
+        """ "held object", "world collision" or "self collision"."""
+        a, b = self.pairs[pair]
+        if "held" in (self.body_names[a], self.body_names[b]):
+            return "held object"
+        robot_count = self.arrays.robot.links.batch_size + self.arrays.robot.gripper.palm.batch_size
+        robot_count += self.arrays.robot.gripper.fingers.batch_size
+        return "self collision" if max(a, b) < robot_count else "world collision"
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Result of `configuration_clearance` for N configurations.
+
+    Attributes:
+        value: (N,) smallest distance minus margin over all pairs, metres, cut at the cap; ≥ 0 is free.
+        distance: (N,) the distance itself of the pair that attains it, metres (the cap if there is none).
+        pair: (N,) that pair, or −1 where nothing is closer than the cap.
+    """
+
+    value: Float[np.ndarray, " N"]
+    distance: Float[np.ndarray, " N"]
+    pair: Int[np.ndarray, " N"]
+
+
+def _bucket(count: int, buckets: Sequence[int], what: str) -> int:
+    for size in buckets:
+        if count <= size:
+            return size
+    raise ValueError(f"{count} {what}, more than the {buckets[-1]} that are supported")
+
+
+def _thinned(piece: ConvexBody) -> ConvexBody:
+    if piece.vertices.shape[-2] <= MAX_VERTICES:
+        return piece
+    return ConvexBody.from_vertices(
+        piece.hull_vertices(), float(piece.radius), float(piece.sharpness), max_vertices=MAX_VERTICES
+    )
+
+
+def _group_names(robot: Robot) -> tuple[list[str], list[frozenset[str]]]:
+    """Name of each robot body, and the group names it answers to."""
+    names = [f"link{int(i)}" for i in np.asarray(robot.link_of)]
+    groups = [frozenset({name, "arm"}) for name in names]
+    names += ["palm"] * robot.gripper.palm.batch_size
+    groups += [frozenset({"palm", "gripper"})] * robot.gripper.palm.batch_size
+    for finger in np.asarray(robot.gripper.finger_of):
+        names.append(f"finger{int(finger)}")
+        groups.append(frozenset({names[-1], "fingers", "gripper"}))
+    return names, groups
+
+
+def collision_model(
+    robot: Robot,
+    obstacles: Sequence[Obstacle] = (),
+    *,
+    held: Sequence[ConvexBody] = (),
+    held_pose: Float[np.ndarray, " 7"] = IDENTITY,
+    margin_world: float = 0.005,
+    margin_self: float = 0.0,
+    margin_held: float = 0.005,
+    overrides: Mapping[tuple[str, str], float | None] | None = None,
+) -> CollisionModel:
+    """Everything the robot may hit.
+
+    Checked are all robot bodies against all obstacles, ``robot.self_pairs``, held pieces against obstacles, and held
+    pieces against the arm's links that are not next to the gripper.
+
+    Args:
+        robot: the robot. Bodies that never move are not checked against obstacles.
+        obstacles: bodies at poses in the world.
+        held: pieces of the held body, in its own frame.
+        held_pose: (7,) pose of the held body in the gripper frame.
+        margin_world, margin_self, margin_held: distance to keep, metres.
+        overrides: (name, name) → another margin, or None to leave the pairs out. Names are an obstacle's name or
+            "world" for all; "held"; "link3", "palm", "finger0", "finger1"; "arm", "fingers", "gripper" (fingers and
+            palm). Later entries win.
+
+    Raises:
+        ValueError: an override names nothing, or there are too many bodies.
+    """
+    names, groups = _group_names(robot)
+    stack = robot_bodies(robot)
+    robot_count = stack.batch_size
+    link_of = np.asarray(robot.link_of)
+    mover = np.full(robot_count, robot.arm.dof)
+    mover[: len(link_of)] = link_of
+
+    pieces = [(_thinned(piece), obstacle) for obstacle in obstacles for piece in obstacle.body.pieces]
+    held_size = _bucket(max(len(held), 1), HELD_BUCKETS, "held pieces")
+    world_size = _bucket(len(pieces), WORLD_BUCKETS, "obstacle pieces")
+    dummy = ConvexBody.box((0.01, 0.01, 0.01))
+    bodies = [*(_thinned(piece) for piece in held), *[dummy] * (held_size - len(held)), *(p for p, _ in pieces)]
+    bodies += [dummy] * (world_size - len(pieces))
+    local_poses = np.tile(IDENTITY, (robot_count + held_size + world_size, 1))
+    local_poses[robot_count : robot_count + held_size] = np.asarray(held_pose, float)
+    for i, (_, obstacle) in enumerate(pieces):
+        local_poses[robot_count + held_size + i] = obstacle.pose
+
+    names += ["held"] * len(held) + [""] * (held_size - len(held))
+    names += [obstacle.body.name for _, obstacle in pieces] + [""] * (world_size - len(pieces))
+    groups += [frozenset({"held"})] * held_size
+    groups += [frozenset({obstacle.body.name, "world"}) for _, obstacle in pieces]
+    groups += [frozenset[str]()] * (world_size - len(pieces))
+    mover = np.concatenate([mover, np.full(held_size, robot.arm.dof), np.zeros(world_size, int)])
+
+    world = range(robot_count + held_size, robot_count + held_size + len(pieces))
+    carried = range(robot_count, robot_count + len(held))
+    listed = [(a, b, margin_world) for a in range(robot_count) if mover[a] > 0 for b in world]
+    listed += [(int(a), int(b), margin_self) for a, b in np.asarray(robot.self_pairs)]
+    listed += [(a, b, margin_held) for a in carried for b in world]
+    # The last link carries the gripper and is as near to the held body as the palm is: the grasp decides that pair.
+    listed += [(a, b, margin_held) for a in range(len(link_of)) if mover[a] < robot.arm.dof for b in carried]
+    kept = _overridden(listed, groups, overrides or {})
+
+    everything = ConvexBody.concatenate([stack, ConvexBody.stack(bodies)])
+    everything = everything.padded_to(vertices=max(MAX_VERTICES, stack.vertices.shape[-2]))
+    corners = np.asarray(everything.vertices)
+    low, high = corners.min(1), corners.max(1)
+
+    size = PAIR_BUCKET * max(1, -(-len(kept) // PAIR_BUCKET))
+    pairs, margin, valid = np.zeros((size, 2), np.int32), np.zeros(size), np.zeros(size, bool)
+    pairs[:, 1] = robot_count  # padding: some pair of different bodies, never looked at
+    for i, (a, b, needed) in enumerate(kept):
+        pairs[i], margin[i], valid[i] = (a, b), needed, True
+    arrays = CollisionArrays(
+        robot=robot,
+        bodies=everything,
+        local_poses=jnp.asarray(local_poses),
+        held=jnp.arange(robot_count, robot_count + held_size),
+        mover=jnp.asarray(mover),
+        box_center=jnp.asarray(0.5 * (low + high)),
+        box_half=jnp.asarray(0.5 * (high - low)),
+        pairs=jnp.asarray(pairs),
+        margin=jnp.asarray(margin),
+        valid=jnp.asarray(valid),
+    )
+    return CollisionModel(arrays, tuple(names), pairs)
+
+
+def _overridden(
+    listed: Iterable[tuple[int, int, float]],
+    groups: Sequence[frozenset[str]],
+    overrides: Mapping[tuple[str, str], float | None],
+) -> list[tuple[int, int, float]]:
+    known = frozenset[str]().union(*groups) | {"world", "held"}
+    for name in (name for pair in overrides for name in pair):
+        if name not in known:
+            raise ValueError(f"collision override names {name!r}; known are {sorted(known)}")
+    kept: list[tuple[int, int, float]] = []
+    for a, b, margin in listed:
+        needed: float | None = margin
+        for (one, two), value in overrides.items():
+            if (one in groups[a] and two in groups[b]) or (one in groups[b] and two in groups[a]):
+                needed = value
+        if needed is not None:
+            kept.append((a, b, needed))
+    return kept
+
+
+def body_frames(arrays: CollisionArrays, q: Float[Array, " n"], theta: Float[Array, ""]) -> Float[Array, "M 7"]:
+    """World poses of all bodies, (M, 7), for arm configuration q (n,) radians and finger coordinate θ."""
+    robot = body_poses(arrays.robot, q, theta)
+    # Palm bodies sit in the gripper frame itself.
+    hand = jaxlie.SE3(robot[arrays.robot.links.batch_size])
+    start, stop = robot.shape[0], robot.shape[0] + arrays.held.shape[0]
+    held = (hand @ jaxlie.SE3(arrays.local_poses[start:stop])).wxyz_xyz
+    return jnp.concatenate([robot, held, arrays.local_poses[stop:]])
+
+
+def pair_bounds(arrays: CollisionArrays, poses: Float[Array, "M 7"]) -> Float[Array, " P"]:
+    """Lower bounds (P,) of distance minus margin, metres, from the boxes of the bodies; +inf for padding.
+
+    In the frame of A the box of B, turned, lies in a box with half sizes |R| h; the distance of the two boxes there,
+    less both sweeps, is a lower bound, and so it is in the frame of B. The larger counts.
+    """
+    rotations = jaxlie.SO3(poses[:, :4]).as_matrix()
+    centers = jnp.einsum("mij,mj->mi", rotations, arrays.box_center) + poses[:, 4:]
+    a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
+    turn_a, turn_b = rotations[a], rotations[b]
+    shift = centers[b] - centers[a]
+    relative = jnp.abs(jnp.einsum("pji,pjk->pik", turn_a, turn_b))
+    half_a, half_b = arrays.box_half[a], arrays.box_half[b]
+    gap_a = jnp.abs(jnp.einsum("pji,pj->pi", turn_a, shift)) - half_a - jnp.einsum("pik,pk->pi", relative, half_b)
+    gap_b = jnp.abs(jnp.einsum("pji,pj->pi", turn_b, shift)) - half_b - jnp.einsum("pki,pk->pi", relative, half_a)
+    apart = jnp.maximum(_box_distance(gap_a), _box_distance(gap_b))
+    bound = apart - arrays.bodies.radius[a] - arrays.bodies.radius[b] - arrays.margin
+    return jnp.where(arrays.valid, bound, jnp.inf)
+
+
+def _box_distance(gap: Float[Array, "P 3"]) -> Float[Array, " P"]:
+    """Distance of boxes whose gaps along three axes are given; the largest gap where all are negative (overlap)."""
+    return jnp.where((gap > 0).any(-1), jnp.linalg.norm(jnp.maximum(gap, 0.0), axis=-1), gap.max(-1))
+
+
+def nearest_pairs(
+    arrays: CollisionArrays, q: Float[Array, " n"], theta: Float[Array, ""], count: int
+) -> Int[Array, " count"]:
+    """The ``count`` pairs with the smallest `pair_bounds`, nearest first."""
+    return jax.lax.top_k(-pair_bounds(arrays, body_frames(arrays, q, theta)), count)[1]
+
+
+def batch_clearances(
+    arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, " N"], pairs: Int[Array, "N K"]
+) -> tuple[Float[Array, "N K"], Float[Array, "N K n"]]:
+    """Distance minus margin of K pairs in each of N configurations, with derivatives by the joints.
+
+    One flat `separation` call. Witness points are material points of their bodies (envelope theorem), so with contact
+    normal x from A to B the derivative by joint i is x·(v_B − v_A) with v = a_i × (p − o_i) for the bodies it moves.
+
+    Args:
+        arrays: the model.
+        q: (N, n) radians.
+        theta: (N,) finger coordinates; no derivatives are given.
+        pairs: (N, K) pair numbers. Padding pairs have clearance +1 m and derivative 0.
+
+    Returns:
+        (N, K) metres and (N, K, n) metres per radian.
+    """
+    n_conf, count = pairs.shape
+    frames = jax.vmap(lambda angles: forward_kinematics(arrays.robot.arm, angles))(q)
+    poses = jax.vmap(lambda angles, opening: body_frames(arrays, angles, opening))(q, theta)
+    rows = jnp.repeat(jnp.arange(n_conf), count)
+    flat = pairs.reshape(-1)
+    a, b = arrays.pairs[flat, 0], arrays.pairs[flat, 1]
+    apart = separation(arrays.bodies[a], poses[rows, a], arrays.bodies[b], poses[rows, b])
+
+    joints = jaxlie.SO3(frames[:, 1:-1, :4])
+    axes, origins = joints @ arrays.robot.arm.axes, frames[:, 1:-1, 4:]
+    axes, origins, x = axes[rows], origins[rows], apart.direction[:, None, :]
+    order = jnp.arange(1, arrays.robot.arm.dof + 1)
+
+    def speed(point: Float[Array, "L 3"], body: Int[Array, " L"]) -> Float[Array, "L n"]:
+        moving = arrays.mover[body][:, None] >= order
+        return jnp.where(moving, (x * jnp.cross(axes, point[:, None, :] - origins)).sum(-1), 0.0)
+
+    slope = speed(apart.point_b, b) - speed(apart.point_a, a)
+    valid = arrays.valid[flat]
+    value = jnp.where(valid, apart.distance - arrays.margin[flat], 1.0)
+    slope = jnp.where(valid[:, None], slope, 0.0)
+    return value.reshape(n_conf, count), slope.reshape(n_conf, count, -1)
+
+
+def clearance_jacobian(
+    arrays: CollisionArrays, q: Float[Array, " n"], theta: Float[Array, ""], pairs: Int[Array, " K"]
+) -> tuple[Float[Array, " K"], Float[Array, "K n"]]:
+    """`batch_clearances` of one configuration: (K,) metres and (K, n) metres per radian."""
+    value, slope = batch_clearances(arrays, q[None], jnp.reshape(theta, (1,)), pairs[None])
+    return value[0], slope[0]
+
+
+def pair_clearances(
+    arrays: CollisionArrays, q: Float[Array, " n"], theta: Float[Array, ""], pairs: Int[Array, " K"]
+) -> Float[Array, " K"]:
+    """Distance minus margin (K,) metres, differentiable once by q, forwards and backwards."""
+    fixed = jax.lax.stop_gradient(q)
+    value, slope = clearance_jacobian(arrays, fixed, jax.lax.stop_gradient(theta), pairs)
+    return value + jax.lax.stop_gradient(slope) @ (q - fixed)
+
+
+@jax.jit
+def _posed_bounds(
+    arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, " N"]
+) -> tuple[Float[Array, "N M 7"], Float[Array, "N P"]]:
+    poses = jax.vmap(lambda angles, opening: body_frames(arrays, angles, opening))(q, theta)
+    return poses, jax.vmap(lambda p: pair_bounds(arrays, p))(poses)
+
+
+@jax.jit
+def _selected_distances(
+    arrays: CollisionArrays, poses: Float[Array, "N M 7"], rows: Int[Array, " L"], pairs: Int[Array, " L"], exact: bool
+) -> Float[Array, " L"]:
+    a, b = arrays.pairs[pairs, 0], arrays.pairs[pairs, 1]
+    bodies_a, bodies_b, poses_a, poses_b = arrays.bodies[a], arrays.bodies[b], poses[rows, a], poses[rows, b]
+    apart = separation(bodies_a, poses_a, bodies_b, poses_b)
+    # The hulls' own support functions in any direction bound their distance from below (`certified_distance`).
+    x = apart.direction
+    reach_a = exact_support_value(bodies_a, jaxlie.SO3(poses_a[:, :4]).inverse() @ x)
+    reach_b = exact_support_value(bodies_b, jaxlie.SO3(poses_b[:, :4]).inverse() @ -x)
+    certified = (x * (poses_b[:, 4:] - poses_a[:, 4:])).sum(-1) - reach_a - reach_b
+    return jnp.where(exact, certified, apart.distance)
+
+
+def configuration_clearance(
+    model: CollisionModel,
+    q: Float[np.ndarray, "N n"],
+    theta: Float[np.ndarray, " N"] | float,
+    cap: float = 0.05,
+    exact: bool = False,
+) -> Clearance:
+    """Smallest distance minus margin of each configuration, over all pairs.
+
+    Pairs are culled by `pair_bounds`: first the nearest pair of each configuration is measured, then every pair that
+    might be nearer still. Nothing that could be the minimum is left out.
+
+    Args:
+        model: the bodies.
+        q: (N, n) configurations, radians; N is padded to a bucket.
+        theta: (N,) finger coordinate of each, or one for all.
+        cap: metres; clearances above are not resolved. 0 answers only whether a configuration is free.
+        exact: measure with `certified_distance`, a rigorous lower bound for the exact hulls, and not with the DSF.
+    """
+    q = np.atleast_2d(np.asarray(q, float))
+    theta = np.broadcast_to(np.asarray(theta, float), q.shape[:1])
+    parts = [
+        _clearance_chunk(
+            model, q[i : i + CONFIGURATION_BUCKETS[-1]], theta[i : i + CONFIGURATION_BUCKETS[-1]], cap, exact
+        )
+        for i in range(0, len(q), CONFIGURATION_BUCKETS[-1])
+    ]
+    if not parts:
+        return Clearance(np.zeros(0), np.zeros(0), np.zeros(0, int))
+    return Clearance(
+        np.concatenate([part.value for part in parts]),
+        np.concatenate([part.distance for part in parts]),
+        np.concatenate([part.pair for part in parts]),
+    )
+
+
+def _clearance_chunk(
+    model: CollisionModel, q: Float[np.ndarray, "N n"], theta: Float[np.ndarray, " N"], cap: float, exact: bool
+) -> Clearance:
+    count = len(q)
+    size = _bucket(count, CONFIGURATION_BUCKETS, "configurations")
+    fill = np.minimum(np.arange(size), count - 1)
+    poses, bounds = _posed_bounds(model.arrays, jnp.asarray(q[fill]), jnp.asarray(theta[fill]))
+    bounds = np.asarray(bounds)[:count]
+    margin = np.asarray(model.arrays.margin)
+    value, pair = np.full(count, cap), np.full(count, -1)
+
+    def measure(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> None:
+        measured = _measure(model, poses, rows, pairs, exact) - margin[pairs]
+        for i in np.argsort(-measured, kind="stable"):
+            if measured[i] < value[rows[i]]:
+                value[rows[i]], pair[rows[i]] = measured[i], pairs[i]
+
+    nearest = bounds.argmin(1)
+    rows = np.flatnonzero(bounds[np.arange(count), nearest] < cap)
+    measure(rows, nearest[rows])
+    open_ = bounds < value[:, None]
+    open_[rows, nearest[rows]] = False
+    measure(*np.nonzero(open_))
+    distance = np.where(pair >= 0, value + margin[pair], cap)
+    return Clearance(value, distance, pair)
+
+
+def _measure(
+    model: CollisionModel,
+    poses: Float[Array, "N M 7"],
+    rows: Int[np.ndarray, " L"],
+    pairs: Int[np.ndarray, " L"],
+    exact: bool,
+) -> Float[np.ndarray, " L"]:
+    """Distances of pair ``pairs[i]`` in configuration ``rows[i]``, in padded batches."""
+    result = np.zeros(len(pairs))
+    for i in range(0, len(pairs), DISTANCE_BUCKETS[-1]):
+        count = len(pairs[i : i + DISTANCE_BUCKETS[-1]])
+        fill = i + np.minimum(np.arange(_bucket(count, DISTANCE_BUCKETS, "pairs")), count - 1)
+        distances = _selected_distances(model.arrays, poses, jnp.asarray(rows[fill]), jnp.asarray(pairs[fill]), exact)
+        result[i : i + count] = np.asarray(distances)[:count]
+    return result

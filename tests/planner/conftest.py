@@ -1,0 +1,122 @@
+"""A Panda-like robot built from published figures, so that the planner's tests need no simulator."""
+
+import jaxlie
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from regrasp_planner.geometry.support import ConvexBody
+from regrasp_planner.robot import Arm, Gripper, Robot
+from regrasp_planner.scene import Body, Obstacle
+
+HALF_PI = np.pi / 2
+
+
+def pose(xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
+    """Pose (7,) from a translation and roll, pitch, yaw."""
+    quaternion = Rotation.from_euler("xyz", rpy).as_quat(scalar_first=True)
+    return np.concatenate([quaternion, np.asarray(xyz, float)])
+
+
+def panda_arm():
+    """Joint origins, limits, velocities and accelerations of franka_ros (Apache-2.0)."""
+    origins = [
+        pose((0, 0, 0.333)),
+        pose(rpy=(-HALF_PI, 0, 0)),
+        pose((0, -0.316, 0), (HALF_PI, 0, 0)),
+        pose((0.0825, 0, 0), (HALF_PI, 0, 0)),
+        pose((-0.0825, 0.384, 0), (-HALF_PI, 0, 0)),
+        pose(rpy=(HALF_PI, 0, 0)),
+        pose((0.088, 0, 0), (HALF_PI, 0, 0)),
+    ]
+    return Arm(
+        origins=np.array(origins),
+        axes=np.tile([0.0, 0.0, 1.0], (7, 1)),
+        lower=np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]),
+        upper=np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]),
+        max_velocity=np.array([2.175] * 4 + [2.61] * 3),
+        max_acceleration=np.array([15, 7.5, 10, 12.5, 15, 20, 20.0]),
+        base=pose(),
+        tool=pose((0, 0, 0.107 + 0.1034), (0, 0, -np.pi / 4)),
+        joint_names=tuple(f"joint{i}" for i in range(1, 8)),
+    )
+
+
+def _capsule(radius, length, xyz, rpy=(0.0, 0.0, 0.0)):
+    return ConvexBody.capsule(radius, length, jaxlie.SE3(pose(xyz, rpy)))
+
+
+def panda_robot():
+    """Arm, capsules on its links, and a parallel gripper of boxes."""
+    along_x, along_y = (0, HALF_PI, 0), (HALF_PI, 0, 0)
+    turn = jaxlie.SE3(pose(rpy=(0, 0, np.pi / 4)))
+    links = [
+        (0, _capsule(0.06, 0.03, (-0.075, 0, 0.06), along_x)),
+        (1, _capsule(0.06, 0.283, (0, 0, -0.1915))),
+        (2, _capsule(0.06, 0.12, (0, 0, 0))),
+        (3, _capsule(0.06, 0.15, (0, 0, -0.145))),
+        (4, _capsule(0.06, 0.12, (0, 0, 0))),
+        (5, _capsule(0.06, 0.10, (0, 0, -0.26))),
+        (5, _capsule(0.025, 0.14, (0, 0.08, -0.13))),
+        (6, _capsule(0.05, 0.08, (0, 0, -0.03))),
+        (7, _capsule(0.04, 0.14, (0, 0, 0.01)).transformed(turn)),
+    ]
+    tip = 0.1034
+    palm = [_capsule(0.04, 0.1, (0, 0, 0.04 - tip), along_y), _capsule(0.02, 0.1, (0, 0, 0.10 - tip), along_y)]
+    pad = 0.0584 + 0.04525 - tip
+    fingers = [ConvexBody.box((0.0175, 0.0152, 0.0185), jaxlie.SE3(pose((0, side * 0.0076, pad)))) for side in (1, -1)]
+    bodies = 9 + 2
+    moving = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 6: 5, 7: 6, 8: 7, 9: 8, 10: 8}
+    pairs = [(a, b) for a in range(bodies) for b in range(a) if abs(moving[a] - moving[b]) > 2]
+    return Robot(
+        arm=panda_arm(),
+        gripper=Gripper(
+            palm=ConvexBody.stack(palm),
+            fingers=ConvexBody.stack(fingers),
+            finger_of=np.array([0, 1]),
+            contact=np.array([0, 1]),
+            screws=np.array([[0, 1.0, 0, 0, 0, 0], [0, -1.0, 0, 0, 0, 0]]),
+            lower=np.array(0.0),
+            upper=np.array(0.04),
+            width_axis=np.array([0, 1.0, 0]),
+            approach_axis=np.array([0, 0, 1.0]),
+            max_opening=np.array(0.08),
+        ),
+        links=ConvexBody.stack([body for _, body in links]),
+        link_of=np.array([link for link, _ in links]),
+        self_pairs=np.array(pairs),
+        home=np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, HALF_PI, np.pi / 4]),
+        name="panda-like",
+    )
+
+
+def box_obstacle(name, size, xyz, rpy=(0.0, 0.0, 0.0)):
+    return Obstacle(Body(name, (ConvexBody.box(size),), np.zeros(3)), pose(xyz, rpy))
+
+
+def shelf_scene(seed=0, clutter=5):
+    """A table, a two-board shelf and boxes and prisms on the table."""
+    rng = np.random.default_rng(seed)
+    obstacles = [
+        box_obstacle("table", (1.2, 1.6, 0.04), (0.4, 0, -0.03)),
+        box_obstacle("shelf board", (0.3, 0.8, 0.02), (0.65, 0, 0.35)),
+        box_obstacle("shelf roof", (0.3, 0.8, 0.02), (0.65, 0, 0.75)),
+        box_obstacle("shelf back", (0.02, 0.8, 0.42), (0.81, 0, 0.55)),
+    ]
+    angles = 2 * np.pi * np.arange(12) / 12
+    for i in range(clutter):
+        at = (*rng.uniform([0.3, -0.45], [0.6, 0.45]), 0.06)
+        if i % 2:
+            size = tuple(rng.uniform(0.04, 0.1, 2)) + (0.12,)
+            obstacles.append(box_obstacle(f"box{i}", size, at, (0, 0, rng.uniform(0, np.pi))))
+        else:
+            radius = rng.uniform(0.025, 0.04)
+            ring = radius * np.stack([np.cos(angles), np.sin(angles)], 1)
+            prism = np.concatenate([np.column_stack([ring, np.full(12, z)]) for z in (-0.06, 0.06)])
+            obstacles.append(Obstacle(Body(f"can{i}", (ConvexBody.from_vertices(prism),), np.zeros(3)), pose(at)))
+    return tuple(obstacles)
+
+
+@pytest.fixture(scope="session")
+def panda():
+    return panda_robot()
