@@ -1,0 +1,49 @@
+"""Gymnasium environments for pick-and-place in which one grasp is not enough.
+
+Importing the package registers the environments. On a Linux machine without a display it also chooses MuJoCo's
+off-screen backend, unless ``MUJOCO_GL`` is set; for that it has to be imported before MuJoCo.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import sys
+from typing import TYPE_CHECKING
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from regrasp_gym.expert import PlannerExpert
+
+__all__ = ["PlannerExpert"]
+
+
+def _choose_renderer() -> None:
+    if sys.platform != "linux" or "MUJOCO_GL" in os.environ:
+        return
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return
+    has_only_osmesa = ctypes.util.find_library("OSMesa") and not ctypes.util.find_library("EGL")
+    os.environ["MUJOCO_GL"] = "osmesa" if has_only_osmesa else "egl"
+
+
+def _register() -> None:
+    gymnasium.register(
+        id="regrasp_gym/PandaYCB-v0",
+        entry_point="regrasp_gym.envs.panda_ycb:PandaYCBEnv",
+        max_episode_steps=1000,
+    )
+
+
+def __getattr__(name: str) -> object:
+    # Loaded on first use: the planner brings JAX, which stepping an environment does not need.
+    if name == "PlannerExpert":
+        from regrasp_gym.expert import PlannerExpert
+
+        return PlannerExpert
+    raise AttributeError(f"module 'regrasp_gym' has no attribute {name!r}")
+
+
+_choose_renderer()
+_register()

@@ -7,7 +7,7 @@ the table top is z = 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -33,6 +33,18 @@ TARGETS = (
 )
 """Objects that "upright" means something for and that the gripper can take."""
 
+SHELF_OBJECTS = (
+    *TARGETS,
+    "013_apple",
+    "014_lemon",
+    "015_peach",
+    "016_pear",
+    "017_orange",
+    "055_baseball",
+    "056_tennis_ball",
+)
+"""Objects that may stand on the shelf: tall or round ones, nothing that lies."""
+
 _TRIES = 32
 """Random placements tried for one object before another one is taken instead."""
 
@@ -46,7 +58,8 @@ class TableShelfConfig:
 
     Attributes:
         targets: names of the objects that may have to be moved.
-        clutter: names of the objects that may stand around it.
+        clutter: names of the objects that may lie around it on the table.
+        shelf_objects: names of the objects that may stand on the shelf.
         table_clutter: least and most objects on the table besides the target.
         shelf_clutter: least and most objects on the shelf.
         pick_center, pick_size: rectangle on the table in which all objects start, middle and full size.
@@ -69,7 +82,8 @@ class TableShelfConfig:
     """
 
     targets: tuple[str, ...] = TARGETS
-    clutter: tuple[str, ...] = field(default_factory=lambda: tuple(OBJECTS))
+    clutter: tuple[str, ...] = tuple(OBJECTS)
+    shelf_objects: tuple[str, ...] = SHELF_OBJECTS
     table_clutter: tuple[int, int] = (2, 4)
     shelf_clutter: tuple[int, int] = (2, 3)
     pick_center: tuple[float, float] = (0.46, -0.31)
@@ -93,7 +107,7 @@ class TableShelfConfig:
     opening_margin: float = 0.004
 
     def __post_init__(self) -> None:
-        for name in (*self.targets, *self.clutter):
+        for name in (*self.targets, *self.clutter, *self.shelf_objects):
             if name not in OBJECTS:
                 raise SceneError(f"unknown object {name!r}; the objects are {', '.join(OBJECTS)}")
         if not self.targets:
@@ -104,6 +118,9 @@ class TableShelfConfig:
                 raise SceneError(f"{name} is {(low, high)}; give the least and the most number of objects, 0 or more")
         for name in self.targets:
             check_target(OBJECTS[name], self)
+        for name in self.shelf_objects:
+            if upright_pose(OBJECTS[name]) is None:
+                raise SceneError(f"shelf object {name!r} does not stand upright by itself; choose one that does")
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +198,8 @@ def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfS
     board = _shelf_area(config)
     goal = _place_goal(rng, model, board, config)
     n_shelf = int(rng.integers(config.shelf_clutter[0], config.shelf_clutter[1] + 1))
-    taken = {thing.name for thing in table}
-    standing = [name for name in names if name not in taken and upright_pose(OBJECTS[name]) is not None]
+    taken = {model.name, *(thing.name for thing in table)}
+    standing = [str(name) for name in rng.permutation(config.shelf_objects) if name not in taken]
     shelf = _scatter(rng, n_shelf, standing, board, upright_pose)
     center = np.array([*config.release_center, 0.0])
     return TableShelfScene(
@@ -292,7 +309,7 @@ def _scatter(
         if len(placed) == count:
             break
         resting = choose(OBJECTS[name])
-        assert resting is not None, "only objects that stand upright are offered to the shelf"
+        assert resting is not None, "the config has checked that its shelf objects stand upright"
         pose = area.put(resting, area.draw(rng, resting))
         if pose is not None:
             placed.append(PlacedObject(OBJECTS[name], pose))
@@ -329,18 +346,18 @@ def _fixtures(config: TableShelfConfig) -> tuple[Fixture, ...]:
     inside, depth = config.shelf_inside
     t, low, yaw = config.shelf_thickness, config.board_height, _shelf_yaw(config)
     top = low + config.shelf_clearance
-    # name, size along depth, width and height, middle in the shelf's frame
+    # name, material, size along depth, width and height, middle in the shelf's frame
     parts = (
-        ("shelf_board", (depth, inside, t), (0, 0, low - t / 2)),
-        ("shelf_roof", (depth + t, inside + 2 * t, t), (t / 2, 0, top + t / 2)),
-        ("shelf_left", (depth, t, top), (0, (inside + t) / 2, top / 2)),
-        ("shelf_right", (depth, t, top), (0, -(inside + t) / 2, top / 2)),
-        ("shelf_back", (t, inside + 2 * t, top), ((depth + t) / 2, 0, top / 2)),
+        ("shelf_board", "shelf", (depth, inside, t), (0, 0, low - t / 2)),
+        ("shelf_roof", "shelf", (depth + t, inside + 2 * t, t), (t / 2, 0, top + t / 2)),
+        ("shelf_left", "acrylic", (depth, t, top), (0, (inside + t) / 2, top / 2)),
+        ("shelf_right", "acrylic", (depth, t, top), (0, -(inside + t) / 2, top / 2)),
+        ("shelf_back", "shelf", (t, inside + 2 * t, top), ((depth + t) / 2, 0, top / 2)),
     )
     rotation, middle = _about_z(yaw), np.array([*config.shelf_center, 0.0])
     shelf = (
-        Fixture(name, np.array(size), _pose(rotation, middle + rotation @ offset), "shelf", name == "shelf_board")
-        for name, size, offset in parts
+        Fixture(name, np.array(size), _pose(rotation, middle + rotation @ offset), material, name == "shelf_board")
+        for name, material, size, offset in parts
     )
     return (table, *shelf)
 

@@ -1,0 +1,75 @@
+"""What makes one scenario of pick-and-place with regrasp differ from another, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from regrasp_gym.rendering import Camera
+from regrasp_gym.reward import Tolerance
+from regrasp_gym.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from regrasp_planner.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSetup:
+    """A robot as the environment drives it: names in its MuJoCo specification, and limits.
+
+    Attributes:
+        build_spec: a new specification of the robot alone.
+        planner_robot: makes the planner's `Robot` from the same specification.
+        arm_joints, arm_actuators: n names each, base to wrist; ctrl is the joint's position, radians.
+        finger_joints: names of the finger joints, driven as one.
+        gripper_actuator: name; ctrl is the finger coordinate θ.
+        tcp_site: site of the gripper frame.
+        home: (n,) configuration at the start of an episode, radians.
+        max_velocity: (n,) fastest that the commanded joint positions move, rad/s.
+        theta_range: least and greatest θ; greater is wider. Metres for sliding fingers, radians for jaws.
+    """
+
+    build_spec: Callable[[], mujoco.MjSpec]
+    planner_robot: Callable[[], Robot]
+    arm_joints: tuple[str, ...]
+    arm_actuators: tuple[str, ...]
+    finger_joints: tuple[str, ...]
+    gripper_actuator: str
+    tcp_site: str
+    home: Float[np.ndarray, " n"]
+    max_velocity: Float[np.ndarray, " n"]
+    theta_range: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A robot, its scenes, and the conventions of the environment around them.
+
+    Attributes:
+        robot: the robot.
+        make_scene: (seed, config) → scene; config None stands for the default one.
+        control_period: seconds per environment step.
+        tolerance: when the target counts as placed.
+        max_others: number of objects besides the target that observations have room for.
+        translation_step: largest move of the gripper per step under ``ee_delta``, metres.
+        rotation_step: largest turn of the gripper per step under ``ee_delta``, radians.
+        cameras: cameras fixed in the world; the robot's specification may bring more.
+        pixels: names of the cameras in observations with pixels.
+        floor_height: of the floor, metres.
+    """
+
+    robot: RobotSetup
+    make_scene: Callable[[int, Any], Scene]
+    control_period: float
+    tolerance: Tolerance
+    max_others: int
+    translation_step: float
+    rotation_step: float
+    cameras: tuple[Camera, ...]
+    pixels: tuple[str, ...]
+    floor_height: float

@@ -1,0 +1,307 @@
+"""Light, floor, materials and cameras of a scene, and pictures of it.
+
+Every episode has a model of its own. A `SceneRenderer` keeps one OpenGL context for all of them and only uploads the
+model anew when it changes.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from regrasp_gym.errors import DisplayError
+
+SHADOW_SIZE = 512
+"""Edge of the shadow map in pixels. With MuJoCo's 4096 a software-rendered frame takes many times as long."""
+
+GOAL_GROUP = 5
+"""Geoms of this group show the goal. They are in pictures for people, never in observations."""
+
+GOAL_RGBA = (0.25, 0.85, 0.4, 0.35)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera fixed in the world.
+
+    Attributes:
+        name: by which it is asked for.
+        position: metres, world.
+        target: the point it looks at, metres, world.
+        fovy: vertical field of view, degrees.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fovy: float = 45.0
+
+    def axes(self) -> Float[np.ndarray, " 6"]:
+        """Its x axis (right) and y axis (up) in the world."""
+        forward = np.subtract(self.target, self.position)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, forward)
+        return np.concatenate([right, up / np.linalg.norm(up)])
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a fixture looks like.
+
+    Attributes:
+        texture: makes the (H, W, 3) picture; None for an even surface.
+        repeat: repetitions per metre.
+        rgba: colour, multiplied with the texture.
+        specular, shininess: in [0, 1].
+    """
+
+    texture: Callable[[np.random.Generator], UInt8[np.ndarray, "H W 3"]] | None = None
+    repeat: float = 1.0
+    rgba: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    specular: float = 0.1
+    shininess: float = 0.2
+
+
+def wood(
+    rng: np.random.Generator, light: tuple[int, int, int], dark: tuple[int, int, int], size: int = 256
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Planks along the texture's width, with grain, seamless in both directions."""
+    v, u = np.meshgrid(*[np.arange(size) / size] * 2, indexing="ij")
+    planks = 4
+    plank = np.floor(v * planks).astype(int)
+    shade = rng.uniform(-0.12, 0.12, planks)[plank]
+    shift = rng.uniform(0, 1, planks)[plank]
+    wave = 0.25 * np.sin(2 * np.pi * (u + shift)) + 0.1 * np.sin(2 * np.pi * (3 * u + 2 * shift))
+    grain = 0.5 + 0.5 * np.sin(2 * np.pi * (7 * planks * v + wave + 5 * shift))
+    fibre = rng.normal(size=(size, size))
+    spectrum = np.fft.fft2(fibre) * np.exp(-((np.fft.fftfreq(size) * 60) ** 2))
+    fibre = np.real(np.fft.ifft2(spectrum))
+    fibre /= np.abs(fibre).max()
+    mix = np.clip(0.25 + 0.3 * grain + 0.25 * fibre + shade, 0, 1)[..., None]
+    picture = (1 - mix) * np.array(light) + mix * np.array(dark)
+    seam = ((v * planks) % 1 < 0.02)[..., None]
+    return np.where(seam, picture * 0.82, picture).astype(np.uint8)
+
+
+def speckled(
+    rng: np.random.Generator, colour: tuple[int, int, int], strength: float = 6.0, size: int = 128
+) -> UInt8[np.ndarray, "H W 3"]:
+    """An even colour with a little noise."""
+    noise = rng.normal(0, strength, (size, size, 1))
+    return np.clip(np.array(colour) + noise, 0, 255).astype(np.uint8)
+
+
+MATERIALS: dict[str, Material] = {
+    "table": Material(lambda rng: wood(rng, (214, 178, 132), (166, 122, 78)), 2.0),
+    "shelf": Material(lambda rng: wood(rng, (242, 236, 226), (214, 203, 186)), 3.0),
+    "floor": Material(lambda rng: speckled(rng, (150, 156, 164)), 1.0),
+    "acrylic": Material(rgba=(0.8, 0.9, 0.95, 0.22), specular=0.6, shininess=0.8),
+}
+"""What fixtures may be made of."""
+
+
+def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float) -> None:
+    """Add light, sky, floor, materials and cameras to a specification, in place."""
+    visual = spec.visual
+    visual.headlight.ambient = [0.38, 0.38, 0.4]
+    visual.headlight.diffuse = [0.3, 0.3, 0.3]
+    visual.headlight.specular = [0.05, 0.05, 0.05]
+    visual.quality.shadowsize = SHADOW_SIZE
+    visual.quality.offsamples = 0
+    # Clipping planes in units of the extent, which is set so that they do not change with the objects.
+    spec.stat.extent = 1.0
+    spec.stat.center = [0.4, 0.0, 0.2]
+    visual.map.znear = 0.02
+    visual.map.zfar = 12.0
+    visual.map.shadowclip = 1.2
+    spec.worldbody.add_light(
+        name="lamp",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0.1, -0.7, 1.9],
+        dir=[0.18, 0.42, -1.0],
+        diffuse=[0.55, 0.54, 0.5],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=True,
+    )
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.86, 0.9, 0.94],
+        rgb2=[0.62, 0.68, 0.75],
+        width=64,
+        height=64 * 6,
+    )
+    for name, material in MATERIALS.items():
+        made = spec.add_material(
+            name=name,
+            rgba=material.rgba,
+            specular=material.specular,
+            shininess=material.shininess,
+            texrepeat=[material.repeat] * 2,
+            texuniform=True,
+        )
+        if material.texture is not None:
+            picture = material.texture(np.random.default_rng(len(name)))
+            texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
+            texture.height, texture.width = picture.shape[:2]
+            texture.data = picture.tobytes()
+            made.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        pos=[0, 0, floor_height],
+        material="floor",
+        group=2,
+    )
+    for camera in cameras:
+        spec.worldbody.add_camera(name=camera.name, pos=camera.position, xyaxes=camera.axes(), fovy=camera.fovy)
+
+
+class SceneRenderer:
+    """Pictures of one model after another, with one OpenGL context.
+
+    Args:
+        width, height: largest picture that will be asked for, pixels.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        self._gl: Any = None
+        self._model: mujoco.MjModel | None = None
+        self._context: mujoco.MjrContext | None = None
+        self._scene: mujoco.MjvScene | None = None
+        self._option = mujoco.MjvOption()
+        self._option.sitegroup[:] = 0
+
+    def render(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        camera: str,
+        width: int,
+        height: int,
+        *,
+        show_goal: bool = False,
+    ) -> UInt8[np.ndarray, "H W 3"]:
+        """A picture from a named camera, rows from top to bottom.
+
+        Args:
+            model, data: what to draw, with body poses up to date.
+            camera: its name.
+            width, height: of the picture, pixels.
+            show_goal: whether geoms of group `GOAL_GROUP` are seen.
+
+        Raises:
+            DisplayError: no OpenGL here.
+            KeyError: there is no such camera; the message lists those there are.
+        """
+        if self._gl is None:
+            self._gl = _open_gl(self.width, self.height)
+        self._gl.make_current()
+        if model is not self._model:
+            self._upload(model)
+        assert self._scene is not None, "uploading a model makes its scene"
+        view = mujoco.MjvCamera()
+        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        view.fixedcamid = model.camera(camera).id
+        self._option.geomgroup[:] = [group < 3 or (show_goal and group == GOAL_GROUP) for group in range(6)]
+        mujoco.mjv_updateScene(model, data, self._option, None, view, mujoco.mjtCatBit.mjCAT_ALL, self._scene)
+        rect = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(rect, self._scene, self._context)
+        picture = np.empty((height, width, 3), np.uint8)
+        mujoco.mjr_readPixels(picture, None, rect, self._context)
+        return np.ascontiguousarray(picture[::-1])
+
+    def close(self) -> None:
+        """Free everything. Rendering again opens it again."""
+        if self._gl is not None:
+            self._gl.make_current()
+            self._drop()
+            self._gl.free()
+            self._gl = None
+
+    def _upload(self, model: mujoco.MjModel) -> None:
+        self._drop()
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_resizeOffscreen(self.width, self.height, self._context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
+        self._model = model
+
+    def _drop(self) -> None:
+        if self._context is not None:
+            self._context.free()
+        self._context = self._scene = self._model = None
+
+
+class Window:
+    """An interactive window that shows the simulation, MuJoCo's passive viewer.
+
+    Raises:
+        DisplayError: there is no display.
+    """
+
+    def __init__(self) -> None:
+        if not has_display():
+            raise DisplayError(
+                "render_mode='human' needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set; "
+                "use render_mode='rgb_array'"
+            )
+        self._handle: Any = None
+        self._model: mujoco.MjModel | None = None
+
+    def show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Draw the current state; a new model gets a new window."""
+        if model is not self._model or not self._handle.is_running():
+            self.close()
+            import mujoco.viewer  # Loads GLFW, which only windows need.
+
+            self._handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+            self._model = model
+        self._handle.sync()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._handle is not None:
+            self._handle.close()
+            self._handle = self._model = None
+
+
+def has_display() -> bool:
+    """Whether windows can be opened here."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def halved(picture: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H2 W2 3"]:
+    """A picture of half the width and height, each pixel the mean of four: smooth edges for pictures to look at."""
+    h, w = picture.shape[:2]
+    return picture.reshape(h // 2, 2, w // 2, 2, 3).mean(axis=(1, 3)).astype(np.uint8)
+
+
+def _open_gl(width: int, height: int) -> Any:
+    backend = os.environ.get("MUJOCO_GL", "default")
+    try:
+        # MuJoCo chose its backend when it was imported, perhaps before this package could.
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        elif backend == "osmesa":
+            from mujoco.osmesa import GLContext
+        else:
+            from mujoco import GLContext
+        return GLContext(width, height)
+    except Exception as error:
+        raise DisplayError(
+            f"no OpenGL for off-screen pictures (MUJOCO_GL={backend}: {error}); install Mesa's software EGL "
+            "(Debian and Ubuntu: libegl1 libgl1-mesa-dri) and set MUJOCO_GL=egl, or use obs_type='state' and no "
+            "render_mode"
+        ) from error
