@@ -1,0 +1,353 @@
+"""IkSolve: arm configurations that put the gripper where a grasp wants it, clear of everything.
+
+Three phases, each for the targets the one before left unsolved. (1) Damped least squares on the arm alone from many
+starts, all targets in one batch. (2) Clearance of what converged; the free ones are ranked. (3) Where everything
+collides: the paper's augmented Lagrangian with trust region over the joints, the pose as equality, clearance and
+joint limits as inequalities, from the configurations that violate least. It moves through the arm's null space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from regrasp_planner.arm_kinematics import Reached, pose_error, reach
+from regrasp_planner.collision import (
+    CollisionArrays,
+    CollisionModel,
+    configuration_clearance,
+    nearest_pairs,
+    pair_clearances,
+)
+from regrasp_planner.optim import ConstrainedResult, Euclidean, augmented_lagrangian
+from regrasp_planner.robot import Arm, forward_kinematics
+
+POSITION_TOLERANCE = 1e-4
+ROTATION_TOLERANCE = 1e-3
+SLOTS, STARTS = 8, 32
+"""Starts run in lanes of 8 slots × 32, whatever the number of targets, which share the slots evenly."""
+ENOUGH = 10
+FIRST_ITERATIONS = 24
+FULL_ITERATIONS = 60
+LANES, ACTIVE_PAIRS = 8, 24
+SAME_CONFIGURATION = 0.1
+"""Configurations closer than this in every joint (radians) count as one."""
+GOOD_CLEARANCE = 0.03
+
+
+class IkFailure(StrEnum):
+    """Which constraint of IkSolve cannot be met."""
+
+    UNREACHABLE = "unreachable"
+    JOINT_LIMITS = "joint limits"
+    WORLD_COLLISION = "world collision"
+    SELF_COLLISION = "self collision"
+    HELD_OBJECT = "held object"
+
+
+@dataclass(frozen=True)
+class IkSolution:
+    """A configuration free of collisions with the gripper at its target.
+
+    Attributes:
+        q: (n,) radians.
+        position_error: metres.
+        rotation_error: radians.
+        clearance: smallest distance minus margin, metres, cut at `GOOD_CLEARANCE`.
+    """
+
+    q: Float[np.ndarray, " n"]
+    position_error: float
+    rotation_error: float
+    clearance: float
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Outcome for one target.
+
+    Attributes:
+        solutions: distinct solutions, best first; empty on failure.
+        failure: the constraint that failed, or None.
+        message: the same in words, naming joint or bodies.
+        nearest: (n,) the configuration that came closest, for looking at failures; the best solution on success.
+    """
+
+    solutions: tuple[IkSolution, ...]
+    failure: IkFailure | None
+    message: str
+    nearest: Float[np.ndarray, " n"]
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a solution."""
+        return bool(self.solutions)
+
+    @property
+    def q(self) -> Float[np.ndarray, " n"]:
+        """The best solution's configuration (n,), radians; raises ``ValueError`` on failure."""
+        if not self.solutions:
+            raise ValueError(f"inverse kinematics failed: {self.message}")
+        return self.solutions[0].q
+
+
+@dataclass
+class _Search:
+    """What is known about one target."""
+
+    target: Float[np.ndarray, " 7"]
+    theta: float
+    model: CollisionModel
+    reference: Float[np.ndarray, " n"]
+    found: list[IkSolution]
+    colliding: list[tuple[float, int, Float[np.ndarray, " n"]]]
+    closest: tuple[float, Float[np.ndarray, " n"]]
+
+
+def solve_ik(
+    model: CollisionModel | Sequence[CollisionModel],
+    targets: Float[np.ndarray, "K 7"],
+    theta: Float[np.ndarray, " K"] | float,
+    *,
+    reference: Float[np.ndarray, "K n"] | Float[np.ndarray, " n"] | None = None,
+    seeds: Float[np.ndarray, "S n"] | None = None,
+    max_solutions: int = 4,
+    seed: int = 0,
+) -> list[IkResult]:
+    """Configurations for K gripper poses, each with alternatives.
+
+    Args:
+        model: what may be hit, one for all targets or one per target (all of the same robot).
+        targets: (K, 7) poses of the gripper frame in the world.
+        theta: finger coordinate at each target, or one for all.
+        reference: configurations to stay near (of each target or of all), radians; default: the robot's home.
+            Solutions are ranked by distance from it, from the limits, and by clearance.
+        seeds: (S, n) further configurations to start from.
+        max_solutions: most solutions to return for a target.
+        seed: of the random starts.
+
+    Returns:
+        K results. The errors of a solution are below 0.1 mm and 1 mrad, mostly by orders of magnitude.
+
+    Raises:
+        ValueError: wrong shapes, or a pose that is not finite.
+    """
+    targets = np.atleast_2d(np.asarray(targets, float))
+    if targets.ndim != 2 or targets.shape[1] != 7 or not np.isfinite(targets).all():
+        raise ValueError(f"targets must be finite poses of shape (K, 7), got shape {targets.shape}")
+    count = len(targets)
+    if isinstance(model, CollisionModel):
+        models = [model] * count
+    else:
+        models = list(model)
+    if len(models) != count:
+        raise ValueError(f"{len(models)} collision models for {count} targets; give one, or one per target")
+    if not count:
+        return []
+    robot = models[0].arrays.robot
+    arm = robot.arm
+    theta = np.broadcast_to(np.asarray(theta, float), (count,))
+    home = np.asarray(robot.home, float)
+    references = np.broadcast_to(home if reference is None else np.asarray(reference, float), (count, arm.dof))
+    seeds = np.zeros((0, arm.dof)) if seeds is None else np.asarray(seeds, float).reshape(-1, arm.dof)
+    searches = [
+        _Search(target, float(opening), m, ref, [], [], (np.inf, home))
+        for target, opening, m, ref in zip(targets, theta, models, references, strict=True)
+    ]
+    rng = np.random.default_rng(seed)
+
+    for iterations in (FIRST_ITERATIONS, FULL_ITERATIONS):
+        for group in _groups([s for s in searches if not s.found]):
+            starts = _starts(arm, group, np.concatenate([home[None], seeds]), rng)
+            _screen(group, _reached(arm, group, starts, iterations), max_solutions)
+    for group in _groups([s for s in searches if not s.found and s.colliding]):
+        _escape(arm, group, max_solutions)
+    return [_result(arm, search, max_solutions) for search in searches]
+
+
+def _groups(searches: list[_Search]) -> list[list[_Search]]:
+    return [searches[i : i + SLOTS] for i in range(0, len(searches), SLOTS)]
+
+
+def _starts(
+    arm: Arm, group: list[_Search], fixed: Float[np.ndarray, "S n"], rng: np.random.Generator
+) -> Float[np.ndarray, "slots starts n"]:
+    """Random starts within the limits; the first ones of each slot are the reference and the fixed ones."""
+    low, high = np.asarray(arm.lower, float), np.asarray(arm.upper, float)
+    starts = rng.uniform(low, high, (SLOTS, STARTS, arm.dof))
+    for slot in range(min(SLOTS, len(group))):
+        known = np.concatenate([group[slot].reference[None], fixed])[: STARTS // 2]
+        starts[slot, : len(known)] = known
+    return starts
+
+
+def _reached(
+    arm: Arm, group: list[_Search], starts: Float[np.ndarray, "slots starts n"], iterations: int
+) -> list[Reached]:
+    """`reach` for each search; searches share the slots in turn."""
+    owner = np.arange(SLOTS) % len(group)
+    targets = np.stack([group[i].target for i in owner])
+    lanes = reach(arm, jnp.asarray(targets), jnp.asarray(starts), jnp.asarray(ENOUGH), jnp.asarray(iterations))
+    host = Reached(*(np.asarray(leaf) for leaf in lanes))
+    which = np.repeat(owner, STARTS)
+    return [Reached(*(leaf[which == i] for leaf in host)) for i in range(len(group))]
+
+
+def _limit_nearness(arm: Arm, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, " N"]:
+    """0 in the middle of the ranges, 1 for each joint at a limit."""
+    low, high = np.asarray(arm.lower), np.asarray(arm.upper)
+    return (((2 * q - low - high) / (high - low)) ** 8).sum(1)
+
+
+def _cost(arm: Arm, search: _Search, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, " N"]:
+    """Ranking before clearance is known: distance from the reference in units of the joints' ranges, and limits."""
+    span = np.asarray(arm.upper) - np.asarray(arm.lower)
+    return np.linalg.norm((q - search.reference) / span, axis=1) + 0.2 * _limit_nearness(arm, q)
+
+
+def _distinct(q: Float[np.ndarray, "N n"]) -> list[int]:
+    """Indices of configurations that differ from all kept before."""
+    kept: list[int] = []
+    for i in range(len(q)):
+        if not kept or np.abs(q[kept] - q[i]).max(1).min() > SAME_CONFIGURATION:
+            kept.append(i)
+    return kept
+
+
+def _screen(group: list[_Search], reached: list[Reached], max_solutions: int) -> None:
+    """Sort what converged into free and colliding, best ranked first, until there are enough free ones."""
+    arm = group[0].model.arrays.robot.arm
+    waiting: list[tuple[_Search, Float[np.ndarray, "N n"], Reached]] = []
+    for search, lanes in zip(group, reached, strict=True):
+        error = np.asarray(lanes.position_error) + 0.25 * np.asarray(lanes.rotation_error)
+        best = int(error.argmin())
+        if error[best] < search.closest[0]:
+            search.closest = (float(error[best]), np.asarray(lanes.q)[best])
+        good = (lanes.position_error < POSITION_TOLERANCE) & (lanes.rotation_error < ROTATION_TOLERANCE)
+        order = np.flatnonzero(good)
+        order = order[np.argsort(_cost(arm, search, np.asarray(lanes.q)[order]), kind="stable")]
+        order = order[_distinct(np.asarray(lanes.q)[order])]
+        ranked = Reached(*(np.asarray(leaf)[order] for leaf in lanes))
+        waiting.append((search, np.asarray(ranked.q), ranked))
+
+    batch = max(max_solutions, -(-64 // len(group)))
+    for begin in range(0, SLOTS * STARTS, batch):
+        now = [
+            (search, i, ranked)
+            for search, q, ranked in waiting
+            if len(search.found) < max_solutions
+            for i in range(begin, min(begin + batch, len(q)))
+        ]
+        if not now:
+            break
+        for model in {id(search.model): search.model for search, _, _ in now}.values():
+            part = [(search, i, ranked) for search, i, ranked in now if search.model is model]
+            q = np.stack([np.asarray(ranked.q)[i] for _, i, ranked in part])
+            openings = np.array([search.theta for search, _, _ in part])
+            clearance = configuration_clearance(model, q, openings, cap=GOOD_CLEARANCE)
+            for (search, i, ranked), value, pair in zip(part, clearance.value, clearance.pair, strict=True):
+                configuration = np.asarray(ranked.q)[i]
+                if value >= 0:
+                    errors = float(ranked.position_error[i]), float(ranked.rotation_error[i])
+                    search.found.append(IkSolution(configuration, *errors, float(value)))
+                else:
+                    search.colliding.append((float(value), int(pair), configuration))
+
+
+@jax.jit
+def _descend(
+    arrays: CollisionArrays,
+    targets: Float[Array, "L 7"],
+    theta: Float[Array, " L"],
+    starts: Float[Array, "L n"],
+    pairs: Int[Array, "L C"],
+) -> ConstrainedResult:
+    """Augmented Lagrangian over the joints, L lanes, each with the C pairs that were nearest at its start."""
+    arm = arrays.robot.arm
+    span = arm.upper - arm.lower
+
+    def problem(q: Array, params: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        target, opening, chosen, start = params
+        error = pose_error(forward_kinematics(arm, q)[-1], target)
+        # Units in which all constraints change by about one over the region of interest.
+        pose = error / jnp.array([0.1] * 3 + [0.5] * 3)
+        free = pair_clearances(arrays, q, opening, chosen) / 0.05
+        limits = jnp.concatenate([q - arm.lower, arm.upper - q])
+        return 0.05 * jnp.sum(((q - start) / span) ** 2), pose, jnp.concatenate([free, limits])
+
+    def solve(start: Array, *params: Array) -> ConstrainedResult:
+        return augmented_lagrangian(
+            problem,
+            start,
+            Euclidean(arm.dof),
+            params=(*params, start),
+            max_evaluations=60,
+            max_inner=8,
+            constraint_tolerance=1e-3,
+            initial_penalty=10.0,
+            initial_radius=0.5,
+            stall_decrease=jnp.inf,
+            stall_steps=1,
+        )
+
+    return jax.vmap(solve)(starts, targets, theta, pairs)
+
+
+@jax.jit
+def _near(arrays: CollisionArrays, q: Float[Array, "L n"], theta: Float[Array, " L"]) -> Int[Array, "L C"]:
+    return jax.vmap(lambda angles, opening: nearest_pairs(arrays, angles, opening, ACTIVE_PAIRS))(q, theta)
+
+
+def _escape(arm: Arm, group: list[_Search], max_solutions: int) -> None:
+    """Phase 3, model by model: descend from the least violating configurations, then finish the pose exactly."""
+    for model in {id(search.model): search.model for search in group}.values():
+        part = [search for search in group if search.model is model]
+        owner = [part[i % len(part)] for i in range(LANES)]
+        starts: list[Float[np.ndarray, " n"]] = []
+        for lane, search in enumerate(owner):
+            ranked = sorted(search.colliding, key=lambda entry: -entry[0])
+            starts.append(ranked[min(lane // len(part), len(ranked) - 1)][2])
+        q, theta = jnp.asarray(np.stack(starts)), jnp.asarray([search.theta for search in owner])
+        targets = jnp.asarray(np.stack([search.target for search in owner]))
+        result = _descend(model.arrays, targets, theta, q, _near(model.arrays, q, theta))
+        moved = np.asarray(result.point)
+        lanes = np.stack([np.tile(moved[i], (STARTS, 1)) for i in range(LANES)])
+        _screen(part, _reached(arm, part, lanes, FIRST_ITERATIONS), max_solutions)
+
+
+def _result(arm: Arm, search: _Search, max_solutions: int) -> IkResult:
+    if search.found:
+        q = np.stack([solution.q for solution in search.found])
+        tight = np.array([1.0 - solution.clearance / GOOD_CLEARANCE for solution in search.found])
+        order = np.argsort(_cost(arm, search, q) + 0.3 * tight, kind="stable")
+        order = order[_distinct(q[order])][:max_solutions]
+        solutions = tuple(search.found[i] for i in order)
+        return IkResult(solutions, None, "", solutions[0].q)
+    if search.colliding:
+        value, pair, q = max(search.colliding, key=lambda entry: entry[0])
+        kind = IkFailure(search.model.kind(pair))
+        names = search.model.describe(pair)
+        message = f"{kind}: {names}, {-value:.4f} m too close in the best of {len(search.colliding)} configurations"
+        return IkResult((), kind, message, q)
+    error, q = search.closest
+    free = replace(arm, lower=jnp.full(arm.dof, -2 * np.pi), upper=jnp.full(arm.dof, 2 * np.pi))
+    starts = _starts(arm, [search], np.asarray(arm.lower)[None] * 0, np.random.default_rng(0))
+    lanes = _reached(free, [search], starts, FULL_ITERATIONS)[0]
+    best = int(np.argmin(lanes.position_error + 0.25 * lanes.rotation_error))
+    if lanes.position_error[best] < POSITION_TOLERANCE and lanes.rotation_error[best] < ROTATION_TOLERANCE:
+        low, high = np.asarray(arm.lower), np.asarray(arm.upper)
+        angles = np.asarray(lanes.q)[best]
+        beyond = np.maximum(low - angles, angles - high)
+        joint = int(beyond.argmax())
+        message = f"joint limits: {arm.joint_names[joint]!r} would have to turn to {angles[joint]:.3f} rad"
+        message += f", limits [{low[joint]:.3f}, {high[joint]:.3f}]"
+        return IkResult((), IkFailure.JOINT_LIMITS, message, q)
+    position = np.round(search.target[4:], 3).tolist()
+    message = f"unreachable: gripper position {position} m stays {error:.4f} m away"
+    return IkResult((), IkFailure.UNREACHABLE, message, q)
