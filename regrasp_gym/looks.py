@@ -50,9 +50,12 @@ class Look:
         """The same surface turned about the origin."""
         return replace(self, vertices=self.vertices @ rotation.T, normals=self.normals @ rotation.T)
 
-    def scaled(self, factor: float) -> Look:
-        """The same surface ``factor`` times as large."""
-        return replace(self, vertices=self.vertices * factor)
+    def stretched(self, factors: Float[np.ndarray, " 3"] | float) -> Look:
+        """The same surface scaled about the origin, by one factor or one for each axis."""
+        factors = np.broadcast_to(np.asarray(factors, float), 3)
+        normals = self.normals / factors
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return replace(self, vertices=self.vertices * factors, normals=normals)
 
     def painted(self, rgba: Rgba, specular: float = 0.3, shininess: float = 0.4) -> Look:
         """The same surface in another colour."""
@@ -153,7 +156,11 @@ def sweep(
 
 
 def revolve(
-    profile: Sequence[tuple[float, float]], sides: int = 40, *, smooth: bool = True, textured: bool = False
+    profile: Sequence[tuple[float, float]],
+    sides: int = 40,
+    *,
+    smooth: bool = True,
+    texture: UInt8[np.ndarray, "H W 3"] | None = None,
 ) -> Look:
     """A surface of revolution about z.
 
@@ -161,7 +168,7 @@ def revolve(
         profile: (radius, height) from bottom to top, metres.
         sides: facets around.
         smooth: whether the shading is smooth along the profile, or creased at its corners.
-        textured: give texture coordinates: u once around, v from the top to the bottom along the profile.
+        texture: wrapped once around, its lower edge at the start of the profile, or None.
     """
     points = np.asarray(profile, float)
     angle = 2 * np.pi * np.arange(sides + 1) / sides
@@ -178,8 +185,7 @@ def revolve(
         rows = np.broadcast_to(v[start : start + len(piece), None], u.shape)
         coords.append(np.stack([u, rows], axis=2).reshape(-1, 2))
         start += len(piece) - 1
-    look = joined(surfaces)
-    return replace(look, texcoords=np.concatenate(coords)) if textured else look
+    return replace(joined(surfaces), texcoords=np.concatenate(coords), texture=texture)
 
 
 def grid_surface(points: Float[np.ndarray, "k s 3"], *, wrap: bool, seam: bool = False) -> Look:
@@ -239,6 +245,23 @@ def textured_box(size: Float[np.ndarray, " 3"], texture: UInt8[np.ndarray, "H W 
         texcoords=np.array(coords),
         texture=texture,
     )
+
+
+def wall(
+    outline: Float[np.ndarray, "M 2"], low: float, high: float, texture: UInt8[np.ndarray, "H W 3"] | None = None
+) -> Look:
+    """A vertical wall on a convex outline, smooth around, with u once around from the outline's first point.
+
+    Args:
+        outline: (M, 2) counter-clockwise, metres.
+        low, high: heights of its lower and upper edge, metres.
+        texture: wrapped around it, or None.
+    """
+    closed = np.vstack([outline, outline[:1]])
+    around = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    rings = np.stack([np.column_stack([closed, np.full(len(closed), z)]) for z in (low, high)])
+    coords = np.stack([np.column_stack([around / around[-1], np.full(len(closed), v)]) for v in (1.0, 0.0)])
+    return replace(grid_surface(rings, wrap=False, seam=True), texcoords=coords.reshape(-1, 2), texture=texture)
 
 
 def _fan(ring: Float[np.ndarray, "s 3"], normal: Float[np.ndarray, " 3"]) -> Look:
