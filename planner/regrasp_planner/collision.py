@@ -10,7 +10,7 @@ the gap of two such boxes, seen along the axes of either, is a rigorous lower bo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -242,6 +242,12 @@ def _overridden(
     return kept
 
 
+def gripper_pairs(arrays: CollisionArrays) -> Bool[Array, " P"]:
+    """Which pairs (P,) are settled by the gripper's pose alone: bodies fixed to it against bodies that stand still."""
+    movers = arrays.mover[arrays.pairs]
+    return (movers.max(-1) == arrays.robot.arm.dof) & (movers.min(-1) == 0)
+
+
 def body_frames(arrays: CollisionArrays, q: Float[Array, " n"], theta: Float[Array, ""]) -> Float[Array, "M 7"]:
     """World poses of all bodies, (M, 7), for arm configuration q (n,) radians and finger coordinate θ."""
     robot = body_poses(arrays.robot, q, theta)
@@ -351,6 +357,24 @@ def _posed_bounds(
 
 
 @jax.jit
+def _posed_gripper_bounds(
+    arrays: CollisionArrays, targets: Float[Array, "N 7"], theta: Float[Array, " N"]
+) -> tuple[Float[Array, "N M 7"], Float[Array, "N P"]]:
+    """As `_posed_bounds`, with the gripper and what moves with it at the targets, and no pairs but theirs."""
+    home = jnp.asarray(arrays.robot.home, float)
+    hand = forward_kinematics(arrays.robot.arm, home)[-1]
+    rigid = arrays.mover == arrays.robot.arm.dof
+
+    def posed(target: Float[Array, " 7"], opening: Float[Array, ""]) -> tuple[Float[Array, "M 7"], Float[Array, " P"]]:
+        poses = body_frames(arrays, home, opening)
+        moved = (jaxlie.SE3(target) @ jaxlie.SE3(hand).inverse() @ jaxlie.SE3(poses)).wxyz_xyz
+        poses = jnp.where(rigid[:, None], moved, poses)
+        return poses, jnp.where(gripper_pairs(arrays), pair_bounds(arrays, poses), jnp.inf)
+
+    return jax.vmap(posed)(targets, theta)
+
+
+@jax.jit
 def _selected_distances(
     arrays: CollisionArrays, poses: Float[Array, "N M 7"], rows: Int[Array, " L"], pairs: Int[Array, " L"], exact: bool
 ) -> Float[Array, " L"]:
@@ -384,13 +408,43 @@ def configuration_clearance(
         cap: metres; clearances above are not resolved. 0 answers only whether a configuration is free.
         exact: measure with `certified_distance`, a rigorous lower bound for the exact hulls, and not with the DSF.
     """
-    q = np.atleast_2d(np.asarray(q, float))
-    theta = np.broadcast_to(np.asarray(theta, float), q.shape[:1])
+    return _clearance(_posed_bounds, model, q, theta, cap, exact)
+
+
+def gripper_clearance(
+    model: CollisionModel,
+    targets: Float[np.ndarray, "N 7"],
+    theta: Float[np.ndarray, " N"] | float,
+    cap: float = 0.05,
+    exact: bool = False,
+) -> Clearance:
+    """Clearance of the gripper, the last link and the held body from the obstacles, whatever the arm does.
+
+    Args:
+        model: the bodies.
+        targets: (N, 7) poses of the gripper frame in the world.
+        theta, cap, exact: as in `configuration_clearance`.
+    """
+    return _clearance(_posed_gripper_bounds, model, targets, theta, cap, exact)
+
+
+_Posing = Callable[[CollisionArrays, Array, Array], tuple[Array, Array]]
+
+
+def _clearance(
+    posing: _Posing,
+    model: CollisionModel,
+    states: Float[np.ndarray, "N k"],
+    theta: Float[np.ndarray, " N"] | float,
+    cap: float,
+    exact: bool,
+) -> Clearance:
+    states = np.atleast_2d(np.asarray(states, float))
+    theta = np.broadcast_to(np.asarray(theta, float), states.shape[:1])
+    size = CONFIGURATION_BUCKETS[-1]
     parts = [
-        _clearance_chunk(
-            model, q[i : i + CONFIGURATION_BUCKETS[-1]], theta[i : i + CONFIGURATION_BUCKETS[-1]], cap, exact
-        )
-        for i in range(0, len(q), CONFIGURATION_BUCKETS[-1])
+        _clearance_chunk(posing, model, states[i : i + size], theta[i : i + size], cap, exact)
+        for i in range(0, len(states), size)
     ]
     if not parts:
         return Clearance(np.zeros(0), np.zeros(0), np.zeros(0, int))
@@ -402,12 +456,17 @@ def configuration_clearance(
 
 
 def _clearance_chunk(
-    model: CollisionModel, q: Float[np.ndarray, "N n"], theta: Float[np.ndarray, " N"], cap: float, exact: bool
+    posing: _Posing,
+    model: CollisionModel,
+    states: Float[np.ndarray, "N k"],
+    theta: Float[np.ndarray, " N"],
+    cap: float,
+    exact: bool,
 ) -> Clearance:
-    count = len(q)
+    count = len(states)
     size = _bucket(count, CONFIGURATION_BUCKETS, "configurations")
     fill = np.minimum(np.arange(size), count - 1)
-    poses, bounds = _posed_bounds(model.arrays, jnp.asarray(q[fill]), jnp.asarray(theta[fill]))
+    poses, bounds = posing(model.arrays, jnp.asarray(states[fill]), jnp.asarray(theta[fill]))
     bounds = np.asarray(bounds)[:count]
     margin = np.asarray(model.arrays.margin)
     value, pair = np.full(count, cap), np.full(count, -1)

@@ -21,8 +21,11 @@ from regrasp_planner.arm_kinematics import Reached, pose_error, reach
 from regrasp_planner.collision import (
     CollisionArrays,
     CollisionModel,
+    body_frames,
     configuration_clearance,
-    nearest_pairs,
+    gripper_clearance,
+    gripper_pairs,
+    pair_bounds,
     pair_clearances,
 )
 from regrasp_planner.optim import ConstrainedResult, Euclidean, augmented_lagrangian
@@ -108,6 +111,8 @@ class _Search:
     found: list[IkSolution]
     colliding: list[tuple[float, int, Float[np.ndarray, " n"]]]
     closest: tuple[float, Float[np.ndarray, " n"]]
+    hopeless: tuple[float, int] | None = None
+    """Clearance and pair where the gripper itself, wherever the arm is, hits something at the target."""
 
 
 def solve_ik(
@@ -142,10 +147,7 @@ def solve_ik(
     if targets.ndim != 2 or targets.shape[1] != 7 or not np.isfinite(targets).all():
         raise ValueError(f"targets must be finite poses of shape (K, 7), got shape {targets.shape}")
     count = len(targets)
-    if isinstance(model, CollisionModel):
-        models = [model] * count
-    else:
-        models = list(model)
+    models = [model] * count if isinstance(model, CollisionModel) else list(model)
     if len(models) != count:
         raise ValueError(f"{len(models)} collision models for {count} targets; give one, or one per target")
     if not count:
@@ -162,8 +164,14 @@ def solve_ik(
     ]
     rng = np.random.default_rng(seed)
 
+    for m in {id(m): m for m in models}.values():
+        part = [search for search in searches if search.model is m]
+        held_fast = gripper_clearance(m, np.stack([s.target for s in part]), np.array([s.theta for s in part]), cap=0.0)
+        for search, value, pair in zip(part, held_fast.value, held_fast.pair, strict=True):
+            search.hopeless = (float(value), int(pair)) if value < 0 else None
+
     for iterations in (FIRST_ITERATIONS, FULL_ITERATIONS):
-        for group in _groups([s for s in searches if not s.found]):
+        for group in _groups([s for s in searches if not s.found and s.hopeless is None]):
             starts = _starts(arm, group, np.concatenate([home[None], seeds]), rng)
             _screen(group, _reached(arm, group, starts, iterations), max_solutions)
     for group in _groups([s for s in searches if not s.found and s.colliding]):
@@ -301,7 +309,13 @@ def _descend(
 
 @jax.jit
 def _near(arrays: CollisionArrays, q: Float[Array, "L n"], theta: Float[Array, " L"]) -> Int[Array, "L C"]:
-    return jax.vmap(lambda angles, opening: nearest_pairs(arrays, angles, opening, ACTIVE_PAIRS))(q, theta)
+    """The nearest pairs that the arm's motion can change."""
+
+    def nearest(angles: Float[Array, " n"], opening: Float[Array, ""]) -> Int[Array, " C"]:
+        bounds = pair_bounds(arrays, body_frames(arrays, angles, opening))
+        return jax.lax.top_k(-jnp.where(gripper_pairs(arrays), jnp.inf, bounds), ACTIVE_PAIRS)[1]
+
+    return jax.vmap(nearest)(q, theta)
 
 
 def _escape(arm: Arm, group: list[_Search], max_solutions: int) -> None:
@@ -329,6 +343,11 @@ def _result(arm: Arm, search: _Search, max_solutions: int) -> IkResult:
         order = order[_distinct(q[order])][:max_solutions]
         solutions = tuple(search.found[i] for i in order)
         return IkResult(solutions, None, "", solutions[0].q)
+    if search.hopeless is not None:
+        value, pair = search.hopeless
+        kind = IkFailure(search.model.kind(pair))
+        message = f"{kind}: {search.model.describe(pair)}, {-value:.4f} m too close at this gripper pose"
+        return IkResult((), kind, message, search.closest[1])
     if search.colliding:
         value, pair, q = max(search.colliding, key=lambda entry: entry[0])
         kind = IkFailure(search.model.kind(pair))
