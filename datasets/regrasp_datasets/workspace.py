@@ -1,0 +1,206 @@
+"""The folder beside a dataset in which it is being collected, and how what is finished gets from there to its place.
+
+``ROOT.collecting`` holds one small dataset per saved episode, the attempts made so far and the settings. ``ROOT``
+itself appears by a single rename, so that it is whole whenever it is there.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from regrasp_datasets.records import (
+    ATTEMPTS_FILE,
+    Attempt,
+    DatasetError,
+    read_attempts,
+    read_episodes,
+    require_dataset,
+    write_lines,
+)
+from regrasp_datasets.shards import merge, remove_unfinished, shard_path, shard_seeds
+
+SETTINGS_FILE = "meta/regrasp_collection.json"
+
+RETRIED_OUTCOMES = ("timeout", "crashed")
+"""What a resumed collection tries again: it need not be the seed's fault."""
+
+
+class WorkspaceError(DatasetError):
+    """An output folder that cannot be written to as asked. The message says what to do."""
+
+
+class Workspace:
+    """State of one collection on disk; a context manager that holds the folder's lock.
+
+    Args:
+        root: where the dataset is to appear.
+        settings: what decides the content of episodes; a resumed collection must have the same.
+        resume: go on with what is there.
+
+    Attributes:
+        attempts: what became of each seed so far.
+        published: seeds of the episodes in the dataset at ``root``.
+
+    Raises:
+        WorkspaceError: there is something already and ``resume`` is off, it was made with other settings, or another
+            process is writing there.
+    """
+
+    def __init__(self, root: Path, settings: dict[str, Any], *, resume: bool) -> None:
+        self.root = root
+        self.folder = root.with_name(root.name + ".collecting")
+        self.shards = self.folder / "episodes"
+        self.logs = self.folder / "logs"
+        self._settings = settings
+        if not resume:
+            if root.exists():
+                raise WorkspaceError(
+                    f"{root} exists already. Add --resume to add episodes to it, or choose another --root."
+                )
+            if self.folder.exists():
+                raise WorkspaceError(
+                    f"{self.folder} holds an unfinished collection. Add --resume to go on with it, or remove it."
+                )
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._lock = (self.folder / "lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._lock.close()
+            raise WorkspaceError(f"Another regrasp-collect is writing to {root}.") from error
+        self.shards.mkdir(exist_ok=True)
+        self.logs.mkdir(exist_ok=True)
+        try:
+            self.attempts, self.published = self._load()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Workspace:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the lock; remove the folder if it holds neither episodes nor attempts."""
+        if self.folder.exists() and not self._log.exists() and not shard_seeds(self.shards):
+            shutil.rmtree(self.folder)
+        self._lock.close()
+
+    def add(self, attempt: Attempt) -> None:
+        """Write down what became of a seed."""
+        self.attempts[attempt.seed] = attempt
+        with self._log.open("a") as stream:
+            stream.write(json.dumps(asdict(attempt)) + "\n")
+
+    def publish(self, seeds: Sequence[int], attempts: Sequence[Attempt]) -> None:
+        """Make the dataset at ``root`` hold the episodes of ``seeds``, and nothing half-done at any moment.
+
+        Args:
+            seeds: seeds of saved episodes, the published ones first.
+            attempts: what led to them.
+        """
+        from regrasp_datasets.card import write_card
+
+        new = [seed for seed in seeds if seed not in self.published]
+        if not new and self.root.exists():
+            write_lines(self.root / ATTEMPTS_FILE, attempts)
+            return
+        merged, replaced = self.folder / "merged", self.folder / "replaced"
+        shutil.rmtree(merged, ignore_errors=True)
+        sources = [self.root] if self.root.exists() else []
+        merge([*sources, *(shard_path(self.shards, seed) for seed in new)], merged)
+        write_lines(merged / ATTEMPTS_FILE, attempts)
+        (merged / SETTINGS_FILE).write_text(json.dumps(self._settings, indent=2) + "\n")
+        write_card(merged, name=self.root.name)
+        if self.root.exists():
+            self.root.rename(replaced)
+        merged.rename(self.root)
+        shutil.rmtree(replaced, ignore_errors=True)
+        self.published |= set(new)
+        for seed in new:
+            shutil.rmtree(shard_path(self.shards, seed))
+
+    def finish(self) -> None:
+        """Remove the folder: everything wanted is in the dataset."""
+        shutil.rmtree(self.folder)
+
+    @property
+    def _log(self) -> Path:
+        return self.folder / "attempts.jsonl"
+
+    def _load(self) -> tuple[dict[int, Attempt], set[int]]:
+        remove_unfinished(self.shards)
+        replaced = self.folder / "replaced"
+        if replaced.exists() and not self.root.exists():
+            # Killed between the two renames of `publish`.
+            replaced.rename(self.root)
+        attempts: dict[int, Attempt] = {}
+        published: set[int] = set()
+        if self.root.exists():
+            require_dataset(self.root)
+            self._compare(self.root / SETTINGS_FILE)
+            attempts = {attempt.seed: attempt for attempt in read_attempts(self.root)}
+            published = {record.seed for record in read_episodes(self.root)}
+        local = self.folder / "settings.json"
+        if local.exists():
+            self._compare(local)
+        else:
+            local.write_text(json.dumps(self._settings, indent=2) + "\n")
+        attempts |= {attempt.seed: attempt for attempt in self._logged()}
+        for seed in shard_seeds(self.shards):
+            if seed in published:
+                shutil.rmtree(shard_path(self.shards, seed))
+            elif seed not in attempts or not attempts[seed].saved:
+                attempts[seed] = self._attempt_of_shard(seed)
+        present = published | set(shard_seeds(self.shards))
+        attempts = {
+            seed: attempt
+            for seed, attempt in attempts.items()
+            if attempt.outcome not in RETRIED_OUTCOMES and (seed in present or not attempt.saved)
+        }
+        if self._log.exists():
+            write_lines(self._log, attempts.values())
+        return attempts, published
+
+    def _logged(self) -> list[Attempt]:
+        attempts: list[Attempt] = []
+        for line in self._log.read_text().splitlines() if self._log.exists() else []:
+            try:
+                attempts.append(Attempt(**json.loads(line)))
+            except (json.JSONDecodeError, TypeError):
+                # The last line of a process that was killed while writing it: that seed is simply tried again.
+                continue
+        return attempts
+
+    def _attempt_of_shard(self, seed: int) -> Attempt:
+        record = read_episodes(shard_path(self.shards, seed))[0]
+        return Attempt(
+            seed,
+            "success" if record.success else "execution failed",
+            saved=True,
+            target=record.target,
+            stages=record.stages,
+            planning_seconds=record.planning_seconds,
+            frames=record.frames,
+        )
+
+    def _compare(self, path: Path) -> None:
+        try:
+            found = json.loads(path.read_text())
+        except (OSError, json.JSONDecodeError) as error:
+            raise WorkspaceError(f"{path} cannot be read, so nothing can be added to {self.root}: {error}") from error
+        wanted = json.loads(json.dumps(self._settings))
+        for key in sorted(wanted.keys() | found.keys()):
+            if wanted.get(key) != found.get(key):
+                raise WorkspaceError(
+                    f"{self.root} was collected with {key} = {found.get(key)!r}, and now {wanted.get(key)!r} is asked "
+                    "for: resume with the same, or choose another --root."
+                )
