@@ -71,8 +71,9 @@ class JointPositionControl:
         self.action_space = spaces.Box(_up(limits.lower), _down(limits.upper), dtype=np.float32)
 
     def command(self, action: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> np.ndarray:
-        """The action itself, clipped to the limits."""
-        return self.limits.advance(last, np.asarray(action, float))
+        """The action itself, clipped to the action space, as far as one step goes."""
+        wanted = np.clip(np.asarray(action, float), self.action_space.low, self.action_space.high)
+        return self.limits.advance(last, wanted)
 
     def toward(self, wanted: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> np.ndarray:
         """The command itself."""

@@ -26,22 +26,40 @@ _configure_jax()
 
 from regrasp_planner.errors import GeometryError, RegraspError  # noqa: E402
 from regrasp_planner.geometry import ConvexBody, certified_distance, separation, signed_distance  # noqa: E402
+from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, generate_grasps  # noqa: E402
+from regrasp_planner.pipeline import PlanOptions, plan  # noqa: E402
 from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
 from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
+from regrasp_planner.stages import Failure, Plan, Reason, Segment, SegmentKind, Stage, StageKind, Strategy  # noqa: E402
+from regrasp_planner.trajectory import Trajectory  # noqa: E402
 
 __all__ = [
     "Arm",
     "Body",
     "ConvexBody",
+    "Failure",
     "GeometryError",
+    "Grasp",
+    "GraspGenOptions",
     "Gripper",
     "Obstacle",
+    "Plan",
+    "PlanOptions",
+    "Reason",
     "RegraspError",
     "ReleaseArea",
     "Robot",
     "Scene",
+    "Segment",
+    "SegmentKind",
+    "Stage",
+    "StageKind",
+    "Strategy",
     "Task",
+    "Trajectory",
     "certified_distance",
+    "generate_grasps",
+    "plan",
     "separation",
     "signed_distance",
 ]

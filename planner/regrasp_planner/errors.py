@@ -13,3 +13,7 @@ class GeometryError(RegraspError, ValueError):
 
 class PoseError(RegraspError, ValueError):
     """A pose array of the wrong shape, not finite, or with a quaternion that is not of unit length."""
+
+
+class TaskError(RegraspError, ValueError):
+    """A task that can not be planned as it stands: a bad pose, an empty target, a start outside the limits."""

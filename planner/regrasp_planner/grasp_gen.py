@@ -28,7 +28,9 @@ from regrasp_planner.optim.trust_region import trust_region
 from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Pose, Scene
 
-OBSTACLE_BUCKETS = (8, 16, 24, 32, 48)
+OBSTACLE_BUCKETS = (24, 48)
+VERTEX_BUCKETS = (32, 64)
+SCREEN_BATCH = 48
 FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
 """Pose of the bodies that pad a batch of obstacles."""
 
@@ -66,7 +68,8 @@ class GraspGenOptions:
         quality_threshold: f_threshold of eq. (1).
         max_axes: closing axes taken from the width function.
         angles: approach angles about each closing axis.
-        refined: starts refined by the augmented Lagrangian.
+        max_starts: starts evaluated at most.
+        refined: starts refined by the augmented Lagrangian, the most promising of those.
         max_evaluations: evaluations spent on one refined start.
         sharpness: p of all bodies during the optimisation.
         width_starts: starts of the search for critical directions of the width.
@@ -76,8 +79,9 @@ class GraspGenOptions:
     quality_threshold: float = 1.85
     max_axes: int = 12
     angles: int = 12
-    refined: int = 16
-    max_evaluations: int = 25
+    max_starts: int = 144
+    refined: int = 12
+    max_evaluations: int = 16
     sharpness: int = 48
     width_starts: int = 48
 
@@ -436,10 +440,9 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
     padding = _bucket(max(len(bodies), 1), OBSTACLE_BUCKETS) - len(bodies)
     bodies = bodies + [ConvexBody.box((0.01, 0.01, 0.01))] * padding
     poses = np.concatenate([poses, np.tile(FAR_AWAY, (padding, 1))])
-    pieces = ConvexBody.stack(list(target.pieces))
-    obstacles = ConvexBody.stack(bodies)
-    obstacles = obstacles.padded_to(vertices=max(32, obstacles.vertices.shape[-2]))
-    pieces = pieces.padded_to(vertices=obstacles.vertices.shape[-2])
+    pieces, obstacles = ConvexBody.stack(list(target.pieces)), ConvexBody.stack(bodies)
+    vertices = _bucket(max(pieces.vertices.shape[-2], obstacles.vertices.shape[-2]), VERTEX_BUCKETS)
+    pieces, obstacles = pieces.padded_to(vertices=vertices), obstacles.padded_to(vertices=vertices)
     return _Problem(
         pieces=pieces.with_sharpness(options.sharpness),
         center=jnp.asarray(target.center_of_mass, float),
@@ -477,11 +480,10 @@ def generate_grasps(
     if len(axes) == 0:
         return GraspResult((), 0, "too wide")
     poses, thetas = grasp_starts(target.hull_vertices(), axes, gripper, options)
-    poses, thetas = _spread(poses, thetas)
-    scaled = thetas[:, None] / length
-    screened = jax.device_get(_screen(jnp.asarray(poses), jnp.asarray(scaled), problem))
-    merit = screened.violation - 0.2 * screened.quality
-    chosen = _diverse(poses, merit, options.refined)
+    taken = _evenly(len(poses), options.max_starts)
+    poses, scaled = poses[taken], thetas[taken, None] / length
+    violation, quality = _screened(poses, scaled, problem)
+    chosen = np.resize(np.argsort(violation - 0.2 * quality, kind="stable")[: options.refined], options.refined)
     refined, terms, spent = jax.device_get(
         _refine(
             jnp.asarray(poses[chosen]),
@@ -510,20 +512,20 @@ def generate_grasps(
     return GraspResult(tuple(_distinct(grasps, length)), evaluations, "")
 
 
-def _spread(poses: np.ndarray, thetas: np.ndarray, limit: int = 144) -> tuple[np.ndarray, np.ndarray]:
-    """At most ``limit`` starts, evenly taken, padded to a bucket by repetition so that few programs serve all."""
-    if len(poses) > limit:
-        taken = np.linspace(0, len(poses) - 1, limit).round().astype(int)
-    else:
-        taken = np.resize(np.arange(len(poses)), _bucket(len(poses), (36, 72, 144)))
-    return poses[taken], thetas[taken]
+def _evenly(count: int, limit: int) -> np.ndarray:
+    """At most ``limit`` of ``count`` indices, evenly taken."""
+    return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)
 
 
-def _diverse(poses: np.ndarray, merit: np.ndarray, count: int) -> np.ndarray:
-    """Indices of ``count`` different starts in order of merit, repeated if there are fewer."""
-    _, first = np.unique(np.round(poses, 9), axis=0, return_index=True)
-    order = first[np.argsort(merit[first], kind="stable")]
-    return np.resize(order[:count], count)
+def _screened(poses: np.ndarray, scaled: np.ndarray, problem: _Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Violation and quality of all starts, evaluated in batches of one size so that one program serves all."""
+    violations, qualities = [], []
+    for begin in range(0, len(poses), SCREEN_BATCH):
+        taken = np.resize(np.arange(begin, min(begin + SCREEN_BATCH, len(poses))), SCREEN_BATCH)
+        terms = jax.device_get(_screen(jnp.asarray(poses[taken]), jnp.asarray(scaled[taken]), problem))
+        violations.append(terms.violation)
+        qualities.append(terms.quality)
+    return np.concatenate(violations)[: len(poses)], np.concatenate(qualities)[: len(poses)]
 
 
 def _distinct(grasps: list[Grasp], length: float) -> list[Grasp]:

@@ -15,6 +15,12 @@ from regrasp_gym.scenes.scene import Fixture, Pose, Scene
 
 _GOAL = "goal"
 
+_POSITIVE = np.array([1.0, 0.41, 0.33, 0.27])
+
+_TOUCHING = 1e-5
+
+_PLANE = mujoco.mjtGeom.mjGEOM_PLANE
+
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -109,16 +115,16 @@ class World:
         mine = bodies == self._target_body
         others = np.where(mine[:, 0], bodies[:, 1], bodies[:, 0])[mine.any(axis=1)]
         robot = self._is_robot[others]
-        return bool(robot.any()), bool((~robot).any())
+        # What was put down exactly makes contact only once it has sunk in by a hair.
+        return bool(robot.any()), bool((~robot).any()) or self._target_is_put_down()
 
-    def set_robot(self, joints: Float[np.ndarray, " n"], theta: float) -> None:
-        """Put the robot somewhere else, at rest, its set points with it. For pictures; no episode does this."""
-        self.data.qpos[self._arm_qpos] = joints
-        self.data.qpos[self._finger_qpos] = theta
-        self.data.qvel[self._arm_dof] = 0.0
-        self.data.qvel[self._finger_dof] = 0.0
-        self.set_command(np.append(joints, theta))
-        self.refresh()
+    def _target_is_put_down(self) -> bool:
+        fromto = np.empty(6)
+        return any(
+            mujoco.mj_geomDistance(self.model, self.data, mine, other, 2 * _TOUCHING, fromto) <= _TOUCHING
+            for mine in self._target_geoms
+            for other in self._other_geoms
+        )
 
     def set_object_pose(self, name: str, pose: Pose, velocity: Float[np.ndarray, " 6"] | None = None) -> None:
         """Put an object somewhere else, at rest unless a velocity (m/s, rad/s, world) is given.
@@ -188,6 +194,10 @@ class World:
         self._other_qpos = [int(model.joint(f"{thing.name}_joint").qposadr[0]) for thing in scene.others]
         root = model.body_rootid[model.site_bodyid[self._site]]
         self._is_robot = np.asarray(model.body_rootid == root)
+        solid = (model.geom_contype != 0) & ~self._is_robot[model.geom_bodyid]
+        is_target = model.geom_bodyid == self._target_body
+        self._target_geoms = np.flatnonzero(solid & is_target).tolist()
+        self._other_geoms = np.flatnonzero(solid & ~is_target & (model.geom_type != _PLANE)).tolist()
 
     @cached_property
     def object_sizes(self) -> Float[np.ndarray, "m+1 3"]:
@@ -201,10 +211,13 @@ class World:
 
 
 def canonical(pose: Float[np.ndarray, "*batch 7"]) -> Float[np.ndarray, "*batch 7"]:
-    """The same poses with unit quaternions whose first entry that is not zero is positive."""
+    """The same poses with, of the two unit quaternions of a rotation, the one with w + 0.41 x + 0.33 y + 0.27 z ≥ 0.
+
+    Not w ≥ 0: objects often lie upside down, where w is zero but for noise, and the sign would toggle with it.
+    """
     quaternion = pose[..., :4] / np.linalg.norm(pose[..., :4], axis=-1, keepdims=True)
-    first = np.take_along_axis(quaternion, (quaternion != 0).argmax(axis=-1)[..., None], axis=-1)
-    return np.concatenate([np.where(first < 0, -quaternion, quaternion), pose[..., 4:]], axis=-1)
+    flip = (quaternion @ _POSITIVE)[..., None] < 0
+    return np.concatenate([np.where(flip, -quaternion, quaternion), pose[..., 4:]], axis=-1)
 
 
 def _compile(base: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:

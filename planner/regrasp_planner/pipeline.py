@@ -1,0 +1,338 @@
+"""The pipeline: one grasp from pick to place if there is one, else a regrasp in between (the paper's Fig. 2b)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from regrasp_planner.errors import TaskError
+from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, GraspResult, generate_grasps
+from regrasp_planner.robot import Robot, check_configuration
+from regrasp_planner.scene import Body, Pose, Scene, Task
+from regrasp_planner.stage_motion import Clock, Ends, MotionOptions, StageMotion, Surroundings, flipped, solve_ends
+from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Stage, StageKind, Strategy
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Options of `plan`.
+
+    Attributes:
+        grasp: options of GraspGen.
+        motion: options of IkSolve and PathPlan.
+        max_stable_poses: stable poses tried for the regrasp, most stable first.
+        yaws: turns about the vertical at which the target may be put down.
+        motion_attempts: grasps whose motion is planned before giving up on a pair of scenes.
+    """
+
+    grasp: GraspGenOptions = field(default_factory=GraspGenOptions)
+    motion: MotionOptions = field(default_factory=MotionOptions)
+    max_stable_poses: int = 8
+    yaws: int = 8
+    motion_attempts: int = 4
+
+
+def plan(
+    task: Task,
+    robot: Robot,
+    strategy: Strategy | str = Strategy.STATIC,
+    seed: int = 0,
+    options: PlanOptions | None = None,
+    known_grasps: Sequence[Grasp] = (),
+) -> Plan:
+    """Plan the task.
+
+    Args:
+        task: what to move, from where to where, among what.
+        robot: arm, gripper and their bodies.
+        strategy: see `Strategy`; a name does.
+        seed: of the random starts; the same seed gives the same plan.
+        options: see `PlanOptions`.
+        known_grasps: grasps tried for the whole way before any are generated, such as those of an earlier plan.
+
+    Returns:
+        `Plan`, with ``failure`` set where there is none.
+
+    Raises:
+        ValueError: unknown strategy.
+    """
+    names = [str(member) for member in Strategy]
+    if strategy not in names:
+        raise ValueError(f"unknown strategy {strategy!r}; the strategies are {', '.join(names)}")
+    planner = _Planner(task, robot, Strategy(strategy), seed, options or PlanOptions())
+    began = time.perf_counter()
+    outcome = planner.run(known_grasps)
+    planner.clock.seconds["total"] = time.perf_counter() - began
+    stats = PlanStats(planner.eval_grasp_calls, planner.clock.seconds)
+    if isinstance(outcome, Failure):
+        return Plan(False, outcome, (), planner.strategy, stats, seed)
+    return Plan(True, None, outcome, planner.strategy, stats, seed)
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A grasp and the configurations that reach it in a scene."""
+
+    grasp: Grasp
+    ends: Ends
+
+
+class _Planner:
+    """One call of `plan`: the task, what it cost so far, and the stages' motion."""
+
+    def __init__(self, task: Task, robot: Robot, strategy: Strategy, seed: int, options: PlanOptions):
+        self.task, self.robot, self.strategy, self.seed, self.options = task, robot, strategy, seed, options
+        self.clock = Clock()
+        self.eval_grasp_calls = 0
+        obstacles = task.pick.obstacles
+        self.surroundings = Surroundings(robot, task.target, obstacles, options.motion)
+        self.motion = StageMotion(self.surroundings, self.clock, seed)
+        supports = tuple(o for o in obstacles if o.body.name in task.supports)
+        self.supports = supports
+
+    def run(self, known_grasps: Sequence[Grasp]) -> tuple[Stage, ...] | Failure:
+        invalid = self.invalid()
+        if invalid is not None:
+            return invalid
+        task = self.task
+        goal = _raised(task.place.target_pose, self.options.motion.drop)
+        outcome = self.one_grasp(StageKind.PICK_TO_PLACE, task.pick, task.place, goal, known_grasps)
+        if (
+            isinstance(outcome, Failure)
+            and self.strategy is not Strategy.DIRECT
+            and outcome.reason is not Reason.TOO_WIDE
+        ):
+            return self.static_regrasp(goal)
+        return outcome
+
+    def invalid(self) -> Failure | None:
+        """The task's first mistake."""
+        try:
+            check_task(self.task, self.robot)
+        except ValueError as error:
+            return Failure(Reason.BAD_INPUT, "", "", str(error))
+        return None
+
+    # --- one grasp ----------------------------------------------------------------------------------------------------
+
+    def one_grasp(
+        self, kind: StageKind, start: Scene, end: Scene, release: Pose, known_grasps: Sequence[Grasp]
+    ) -> tuple[Stage, ...] | Failure:
+        """A single stage between two scenes."""
+        failure: Failure | None = None
+        for grasps in self._sources(kind, (start, end), known_grasps):
+            if isinstance(grasps, Failure):
+                return failure or grasps
+            picks = self.reachable(grasps, start.target_pose)
+            places = self.ends([held.grasp for held in picks], release) if picks else []
+            both = [(held, ends) for held, ends in zip(picks, places, strict=True) if ends.configurations]
+            if not both:
+                failure = self.unreachable(kind)
+                continue
+            for held, ends in both[: self.options.motion_attempts]:
+                stage = self.motion.build(
+                    kind, held.grasp, start.target_pose, release, held.ends, ends, self.task.start
+                )
+                if isinstance(stage, Stage):
+                    return (stage,)
+                failure = stage
+        assert failure is not None
+        return failure
+
+    def _sources(
+        self, kind: StageKind, scenes: Sequence[Scene], known_grasps: Sequence[Grasp]
+    ) -> Iterator[Sequence[Grasp] | Failure]:
+        if known_grasps:
+            yield known_grasps
+        yield self.grasps(kind, scenes)
+
+    def grasps(self, kind: StageKind, scenes: Sequence[Scene]) -> Sequence[Grasp] | Failure:
+        """GraspGen, each grasp with the fingers either way round."""
+        result: GraspResult = self.clock.time(
+            "grasp_gen",
+            lambda: generate_grasps(self.task.target, scenes, self.robot.gripper, self.options.grasp),
+        )
+        self.eval_grasp_calls += result.evaluations
+        if result.grasps:
+            return [g for grasp in result.grasps for g in (grasp, flipped(grasp, self.robot))]
+        names = " and ".join(scene.name for scene in scenes)
+        name = self.task.target.name
+        if result.reason == "too wide":
+            opening = float(self.robot.gripper.max_opening)
+            message = f"{name!r} is wider in every direction than the gripper opens ({1e3 * opening:.0f} mm)"
+            return Failure(Reason.TOO_WIDE, kind, "finger limits", message)
+        message = f"no grasp of {name!r} keeps clear of the obstacles of {names} together"
+        return Failure(Reason.NO_COMMON_GRASP, kind, f"world collision or {result.reason}", message)
+
+    # --- configurations -----------------------------------------------------------------------------------------------
+
+    def ends(self, grasps: Sequence[Grasp], target_pose: Pose) -> list[Ends]:
+        """Configurations for each grasp of the target standing at one pose."""
+        return self.clock.time(
+            "ik_solve",
+            lambda: solve_ends(self.surroundings, grasps, target_pose, np.asarray(self.robot.home), self.seed),
+        )
+
+    def reachable(self, grasps: Sequence[Grasp], target_pose: Pose) -> list[_Held]:
+        """Those of the grasps that the arm reaches with the target at this pose."""
+        ends = self.ends(grasps, target_pose)
+        return [_Held(grasp, end) for grasp, end in zip(grasps, ends, strict=True) if end.configurations]
+
+    def unreachable(self, kind: StageKind) -> Failure:
+        name = self.task.target.name
+        message = f"no collision-free configuration reaches a grasp of {name!r} at both ends of the stage"
+        return Failure(Reason.UNREACHABLE, kind, "inverse kinematics", message)
+
+    # --- regrasp ------------------------------------------------------------------------------------------------------
+
+    def static_regrasp(self, goal: Pose) -> tuple[Stage, ...] | Failure:
+        """Two stages with the target put down in one of its stable poses in between."""
+        from regrasp_planner.stab_pose import stable_poses
+
+        task, options = self.task, self.options
+        poses = self.clock.time(
+            "stab_pose", lambda: stable_poses(task.target.hull_vertices(), task.target.center_of_mass)
+        )
+        failure = Failure(
+            Reason.NO_STABLE_POSE,
+            StageKind.PICK_TO_RELEASE,
+            "stable pose",
+            f"{task.target.name!r} rests in no pose that fits the release area",
+        )
+        for rotation in np.asarray(poses.rotations)[: options.max_stable_poses]:
+            settled = self.release_poses(rotation)
+            if not settled:
+                continue
+            scene = Scene("release", settled[0], self.supports)
+            second = self.grasps(StageKind.REGRASP_TO_PLACE, (scene, task.place))
+            if isinstance(second, Failure):
+                failure = _furthest(failure, second)
+                continue
+            placing = self.reachable(second, goal)
+            if not placing:
+                failure = _furthest(failure, self.unreachable(StageKind.REGRASP_TO_PLACE))
+                continue
+            first = self.grasps(StageKind.PICK_TO_RELEASE, (task.pick, scene))
+            if isinstance(first, Failure):
+                failure = _furthest(failure, first)
+                continue
+            picking = self.reachable(first, task.pick.target_pose)
+            if not picking:
+                failure = _furthest(failure, self.unreachable(StageKind.PICK_TO_RELEASE))
+                continue
+            outcome = self.over_release(settled, picking, placing, goal)
+            if not isinstance(outcome, Failure):
+                return outcome
+            failure = _furthest(failure, outcome)
+        return failure
+
+    def over_release(
+        self, settled: Sequence[Pose], picking: Sequence[_Held], placing: Sequence[_Held], goal: Pose
+    ) -> tuple[Stage, ...] | Failure:
+        """Both stages, with the target put down at the first of the ``settled`` poses where all of it works."""
+        task, attempts = self.task, self.options.motion_attempts
+        picking, placing = picking[:attempts], placing[:attempts]
+        failure = self.unreachable(StageKind.PICK_TO_RELEASE)
+        tried = 0
+        for pose in settled:
+            if tried >= attempts:
+                break
+            released = _raised(pose, self.options.motion.drop)
+            retaking = self.ends([held.grasp for held in placing], pose)
+            if not any(ends.configurations for ends in retaking):
+                continue
+            releasing = self.ends([held.grasp for held in picking], released)
+            takes = [(held, ends) for held, ends in zip(placing, retaking, strict=True) if ends.configurations]
+            puts = [(held, ends) for held, ends in zip(picking, releasing, strict=True) if ends.configurations]
+            if not takes or not puts:
+                continue
+            tried += 1
+            first: Stage | Failure = failure
+            for held, ends in puts:
+                first = self.motion.build(
+                    StageKind.PICK_TO_RELEASE,
+                    held.grasp,
+                    task.pick.target_pose,
+                    released,
+                    held.ends,
+                    ends,
+                    task.start,
+                )
+                if isinstance(first, Stage):
+                    break
+            if isinstance(first, Failure):
+                failure = _furthest(failure, first)
+                continue
+            for held, ends in takes:
+                second = self.motion.build(
+                    StageKind.REGRASP_TO_PLACE, held.grasp, pose, goal, ends, held.ends, _end_of(first)
+                )
+                if isinstance(second, Stage):
+                    return (first, second)
+                failure = _furthest(failure, second)
+        return failure
+
+    def release_poses(self, rotation: Float[np.ndarray, "3 3"]) -> list[Pose]:
+        """Poses in the release area, at several turns about the vertical, in which the target rests on this side."""
+        area, hull = self.task.release, self.task.target.hull_vertices()
+        poses: list[Pose] = []
+        for yaw in np.arange(self.options.yaws) * (2 * np.pi / self.options.yaws):
+            turned = Rotation.from_euler("z", yaw) * Rotation.from_matrix(rotation)
+            points = turned.apply(hull)
+            low, high = points.min(axis=0), points.max(axis=0)
+            if (0.5 * (high - low)[:2] > area.half_extents).any():
+                continue
+            position = np.append(area.center[:2] - 0.5 * (low + high)[:2], area.center[2] - low[2])
+            poses.append(np.concatenate([turned.as_quat(scalar_first=True), position]))
+        return poses
+
+
+_PROGRESS = (
+    Reason.NO_STABLE_POSE,
+    Reason.ENCLOSED,
+    Reason.NO_COMMON_GRASP,
+    Reason.UNREACHABLE,
+    Reason.NO_PATH,
+)
+
+
+def _furthest(one: Failure, other: Failure) -> Failure:
+    """The failure that came later in the pipeline says most about what to change."""
+    return max((one, other), key=lambda failure: _PROGRESS.index(failure.reason))
+
+
+def _raised(pose: Pose, height: float) -> Pose:
+    raised = np.array(pose, float)
+    raised[6] += height
+    return raised
+
+
+def _end_of(stage: Stage) -> Float[np.ndarray, " n"]:
+    trajectory = stage.segments[-1].trajectory
+    assert trajectory is not None
+    return trajectory.goal
+
+
+def check_task(task: Task, robot: Robot) -> None:
+    """Raise `TaskError` if a pose is not one, a scene's obstacle is not finite, or the start is outside the limits."""
+    named: list[tuple[str, Pose]] = [("pick", task.pick.target_pose), ("place", task.place.target_pose)]
+    named += [(obstacle.body.name, obstacle.pose) for obstacle in (*task.pick.obstacles, *task.place.obstacles)]
+    for name, pose in named:
+        pose = np.asarray(pose, float)
+        if pose.shape != (7,) or not np.isfinite(pose).all() or abs(np.linalg.norm(pose[:4]) - 1) > 1e-3:
+            raise TaskError(f"pose of {name!r} is {pose}; give (7,) wxyz_xyz with a unit quaternion, in metres")
+    _check_body(task.target)
+    try:
+        check_configuration(robot, task.start)
+    except ValueError as error:
+        raise TaskError(f"start: {error}") from error
+
+
+def _check_body(target: Body) -> None:
+    if not target.pieces:
+        raise TaskError(f"target {target.name!r} has no convex pieces; give it at least one")

@@ -1,0 +1,268 @@
+"""The motion of one stage: configurations for its grasp at both ends, and the paths that join them.
+
+A stage runs transit – approach – close – lift – transfer – lower – open – retreat. The short straight lines are worked
+out first, from the configurations at the grasp outwards, since they fail soonest; the two long paths come last.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import jaxlie
+import numpy as np
+from jaxtyping import Float
+
+from regrasp_planner.collision import CollisionModel, collision_model
+from regrasp_planner.grasp_gen import Grasp
+from regrasp_planner.ik_solve import solve_ik
+from regrasp_planner.path_plan import PathOptions, PathResult, cartesian_path, plan_path
+from regrasp_planner.robot import Robot
+from regrasp_planner.scene import Body, Obstacle, Pose
+from regrasp_planner.stages import Failure, Reason, Segment, SegmentKind, Stage, StageKind
+from regrasp_planner.trajectory import Trajectory
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """Lengths and margins of a stage's motion, metres.
+
+    Attributes:
+        approach: lengths of the straight line over the target and back, tried in turn.
+        lift: heights of the straight line off the support after taking the target, tried in turn.
+        lower: heights from which the target is lowered onto the support, tried in turn.
+        margin_world: clearance of the robot from obstacles on the way.
+        margin_target: clearance of the open gripper from the target.
+        margin_held: clearance of the held target from obstacles on the way.
+        drop: height above the support at which the target is let go, so that the arm does not press it down.
+        solutions: configurations tried at each end of a stage.
+        path: options of the path planner.
+    """
+
+    approach: tuple[float, ...] = (0.10, 0.06)
+    lift: tuple[float, ...] = (0.08, 0.03)
+    lower: tuple[float, ...] = (0.04, 0.015)
+    margin_world: float = 0.003
+    margin_target: float = 0.0005
+    margin_held: float = 0.005
+    drop: float = 0.002
+    solutions: int = 3
+    path: PathOptions = field(default_factory=PathOptions)
+
+
+@dataclass
+class Clock:
+    """Wall-clock seconds by module."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def time(self, module: str, call: Callable[[], T]) -> T:
+        """Result of ``call()``, its duration added to the module's."""
+        began = time.perf_counter()
+        try:
+            return call()
+        finally:
+            self.seconds[module] = self.seconds.get(module, 0.0) + time.perf_counter() - began
+
+
+def flipped(grasp: Grasp, robot: Robot) -> Grasp:
+    """The same grasp with the gripper turned half round about its approach axis: the fingers change places."""
+    axis = np.asarray(robot.gripper.approach_axis)
+    turn = np.concatenate([[0.0], axis, np.zeros(3)])
+    pose = np.asarray((jaxlie.SE3(grasp.pose) @ jaxlie.SE3(turn)).wxyz_xyz)
+    return Grasp(pose, grasp.theta, grasp.opening, grasp.quality, grasp.clearance)
+
+
+class Surroundings:
+    """The task's obstacles and the target at a given pose, as collision models for an empty or a full hand."""
+
+    def __init__(self, robot: Robot, target: Body, obstacles: Sequence[Obstacle], options: MotionOptions):
+        self.robot, self.target, self.options = robot, target, options
+        self.obstacles = tuple(obstacles)
+        self._empty: dict[bytes, CollisionModel] = {}
+
+    def empty_handed(self, target_pose: Pose) -> CollisionModel:
+        """The target is one more obstacle, which the gripper may come close to."""
+        key = np.asarray(target_pose, float).tobytes()
+        if key not in self._empty:
+            options = self.options
+            self._empty[key] = collision_model(
+                self.robot,
+                (*self.obstacles, Obstacle(self.target, np.asarray(target_pose, float))),
+                margin_world=options.margin_world,
+                overrides={("gripper", self.target.name): options.margin_target},
+            )
+        return self._empty[key]
+
+    def holding(self, grasp: Grasp) -> CollisionModel:
+        """The target moves with the gripper."""
+        options = self.options
+        return collision_model(
+            self.robot,
+            self.obstacles,
+            held=self.target.pieces,
+            held_pose=np.asarray(jaxlie.SE3(grasp.pose).inverse().wxyz_xyz),
+            margin_world=options.margin_world,
+            margin_held=options.margin_held,
+        )
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Configurations that put the gripper on the target at one end of a stage, best first; or why there are none."""
+
+    configurations: tuple[Float[np.ndarray, " n"], ...]
+    constraint: str
+
+
+def solve_ends(
+    surroundings: Surroundings,
+    grasps: Sequence[Grasp],
+    target_pose: Pose,
+    reference: Float[np.ndarray, " n"],
+    seed: int,
+) -> list[Ends]:
+    """IkSolve for several grasps of the target standing at one pose, in one batch.
+
+    Args:
+        surroundings: the obstacles.
+        grasps: K grasps.
+        target_pose: (7,) where the target stands, in the world.
+        reference: (n,) configuration to stay near, radians.
+        seed: of the random starts.
+    """
+    model = surroundings.empty_handed(target_pose)
+    targets = np.array([grasp.gripper_pose(target_pose) for grasp in grasps])
+    openings = np.array([grasp.opening for grasp in grasps])
+    results = solve_ik(
+        model, targets, openings, reference=reference, max_solutions=surroundings.options.solutions, seed=seed
+    )
+    return [Ends(tuple(solution.q for solution in result.solutions), result.message) for result in results]
+
+
+class StageMotion:
+    """Finds the motion of stages one after another, remembering what failed last for the message."""
+
+    def __init__(self, surroundings: Surroundings, clock: Clock, seed: int):
+        self.surroundings, self.clock, self.seed = surroundings, clock, seed
+        self.options = surroundings.options
+
+    def build(
+        self,
+        kind: StageKind,
+        grasp: Grasp,
+        start_pose: Pose,
+        release_pose: Pose,
+        picks: Ends,
+        places: Ends,
+        configuration: Float[np.ndarray, " n"],
+    ) -> Stage | Failure:
+        """The stage, starting from ``configuration`` with an open gripper; or the constraint that failed last.
+
+        Args:
+            kind: what the stage is for.
+            grasp: the grasp held.
+            start_pose, release_pose: (7,) pose of the target when taken and when let go.
+            picks, places: configurations at the grasp, for either pose.
+            configuration: (n,) where the arm is before, radians.
+        """
+        options, robot = self.options, self.surroundings.robot
+        before = self.surroundings.empty_handed(start_pose)
+        after = self.surroundings.empty_handed(release_pose)
+        holding = self.clock.time("path_plan", lambda: self.surroundings.holding(grasp))
+        approach_axis = np.asarray(robot.gripper.approach_axis)
+        into_pick = _turned(grasp.gripper_pose(start_pose), approach_axis)
+        into_place = _turned(grasp.gripper_pose(release_pose), approach_axis)
+        up = np.array([0.0, 0.0, 1.0])
+        last = Failure(Reason.UNREACHABLE, kind, picks.constraint or places.constraint, "no configuration at the grasp")
+
+        takes: list[tuple[Trajectory, Trajectory]] = []
+        for q in picks.configurations:
+            back = self._line(before, q, [-d * into_pick for d in options.approach], grasp.opening)
+            if not isinstance(back, Trajectory):
+                last = _no_path(kind, SegmentKind.APPROACH, back)
+                continue
+            lift = self._line(holding, q, [h * up for h in options.lift], grasp.theta)
+            if not isinstance(lift, Trajectory):
+                last = _no_path(kind, SegmentKind.LIFT, lift)
+                continue
+            takes.append((back.reversed(), lift))
+        puts: list[tuple[Trajectory, Trajectory]] = []
+        for q in places.configurations if takes else ():
+            raised = self._line(holding, q, [h * up for h in options.lower], grasp.theta)
+            if not isinstance(raised, Trajectory):
+                last = _no_path(kind, SegmentKind.LOWER, raised)
+                continue
+            retreat = self._line(after, q, [-d * into_place for d in options.approach], grasp.opening)
+            if not isinstance(retreat, Trajectory):
+                last = _no_path(kind, SegmentKind.RETREAT, retreat)
+                continue
+            puts.append((raised.reversed(), retreat))
+
+        for approach, lift, lower, retreat in _nearest_first(takes, puts):
+            transfer = self._path(holding, lift.goal, lower.start, grasp.theta)
+            if transfer.trajectory is None:
+                last = _no_path(kind, SegmentKind.TRANSFER, transfer)
+                continue
+            transit = self._path(before, configuration, approach.start, grasp.opening)
+            if transit.trajectory is None:
+                last = _no_path(kind, SegmentKind.TRANSIT, transit)
+                continue
+            closed = float(robot.gripper.lower)
+            segments = (
+                Segment(SegmentKind.TRANSIT, transit.trajectory, grasp.opening, holding=False),
+                Segment(SegmentKind.APPROACH, approach, grasp.opening, holding=False),
+                Segment(SegmentKind.CLOSE, None, closed, holding=True),
+                Segment(SegmentKind.LIFT, lift, closed, holding=True),
+                Segment(SegmentKind.TRANSFER, transfer.trajectory, closed, holding=True),
+                Segment(SegmentKind.LOWER, lower, closed, holding=True),
+                Segment(SegmentKind.OPEN, None, grasp.opening, holding=False),
+                Segment(SegmentKind.RETREAT, retreat, grasp.opening, holding=False),
+            )
+            return Stage(kind, grasp, start_pose, release_pose, release_pose, segments)
+        return last
+
+    def _line(
+        self,
+        model: CollisionModel,
+        q: Float[np.ndarray, " n"],
+        displacements: Sequence[Float[np.ndarray, " 3"]],
+        theta: float,
+    ) -> Trajectory | PathResult:
+        """The first straight line from q that works, or why the last did not."""
+        result: PathResult | None = None
+        for displacement in displacements:
+            result = self.clock.time(
+                "path_plan", lambda d=displacement: cartesian_path(model, q, d, theta, self.options.path)
+            )
+            if result.trajectory is not None:
+                return result.trajectory
+        assert result is not None
+        return result
+
+    def _path(
+        self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
+    ) -> PathResult:
+        return self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, self.options.path, self.seed))
+
+
+def _nearest_first(
+    takes: Sequence[tuple[Trajectory, Trajectory]], puts: Sequence[tuple[Trajectory, Trajectory]]
+) -> Iterator[tuple[Trajectory, Trajectory, Trajectory, Trajectory]]:
+    """All pairs of taking and putting, those with the shortest way between them first."""
+    pairs = [(*take, *put) for take in takes for put in puts]
+    pairs.sort(key=lambda pair: float(np.abs(pair[2].start - pair[1].goal).max()))
+    yield from pairs
+
+
+def _turned(pose: Pose, vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    return np.asarray(jaxlie.SO3(pose[:4]) @ vector)
+
+
+def _no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:
+    bodies = " – ".join(result.bodies) if result.bodies else result.status.value
+    return Failure(Reason.NO_PATH, stage, f"{segment}: {bodies}", result.message)

@@ -1,0 +1,138 @@
+"""``regrasp-plan``: plan one scene, print the stages or why there is no plan, and show it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+import regrasp_gym
+from regrasp_gym.errors import EnvError
+
+
+@dataclass(frozen=True)
+class PlanCommand:
+    """Plan one scene, print the stages or why there is no plan, and show it.
+
+    Exits with 0 if there is a plan (and, for a film, its execution succeeds), with 1 if there is none, with 2 on a
+    wrong argument.
+    """
+
+    env: str = "regrasp_gym/PandaYCB-v0"
+    """Id of the environment."""
+    seed: int = 0
+    """Seed of the scene."""
+    strategy: str = "static"
+    """How far the planner may go: direct (one grasp) or static (a regrasp in between)."""
+    planner_seed: int = 0
+    """Seed of the planner."""
+    render: Path | None = None
+    """A picture of the plan (.png) or a film of its execution in the simulation (.mp4)."""
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    """Write the result as JSON."""
+
+
+def main() -> None:
+    """Entry point."""
+    command = tyro.cli(PlanCommand)
+    try:
+        sys.exit(run(command))
+    except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
+        Console(stderr=True).print(f"regrasp-plan: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def run(command: PlanCommand) -> int:
+    """Carry the command out; returns the exit status."""
+    # After the arguments are known to be right: these load JAX.
+    from regrasp_gym.plan_picture import save_execution, save_plan_picture
+
+    suffix = command.render.suffix if command.render else ""
+    if suffix not in ("", ".png", ".mp4"):
+        raise ValueError(f"--render {command.render}: give a file that ends in .png or .mp4")
+    env = gymnasium.make(command.env, render_mode="rgb_array" if suffix else None)
+    try:
+        _, info = env.reset(seed=command.seed)
+        expert = regrasp_gym.PlannerExpert(env, command.strategy, command.planner_seed)
+        expert.reset()
+        plan = expert.plan
+        console = Console()
+        console.print(f"{command.env}, seed {command.seed}: {info['instruction']}", highlight=False)
+        report: dict[str, Any] = {"env": command.env, "seed": command.seed, **describe(plan)}
+        if plan.failure is not None:
+            console.print(f"No plan: {plan.failure}", markup=False, highlight=False)
+        else:
+            console.print(_table(plan))
+        seconds = ", ".join(f"{name} {1e3 * value:.0f} ms" for name, value in plan.stats.seconds.items())
+        console.print(f"{seconds}; {plan.stats.eval_grasp_calls} evaluated grasps", highlight=False)
+        done = plan.success
+        if plan.success and suffix == ".png" and command.render:
+            save_plan_picture(expert.env, plan, command.render)
+        if plan.success and suffix == ".mp4" and command.render:
+            done = save_execution(expert.env, expert, command.render)
+            report["executed"] = done
+            console.print(f"Executed: {'success' if done else expert.failure}", markup=False, highlight=False)
+        if plan.success and command.render:
+            console.print(f"Wrote {command.render}", markup=False, highlight=False)
+        if command.json_file:
+            command.json_file.parent.mkdir(parents=True, exist_ok=True)
+            command.json_file.write_text(json.dumps(report, indent=2) + "\n")
+        return 0 if done else 1
+    finally:
+        env.close()
+
+
+def describe(plan: Any) -> dict[str, Any]:
+    """A `regrasp_planner.Plan` as what JSON can hold, without the paths."""
+    return {
+        "success": plan.success,
+        "failure": asdict(plan.failure) if plan.failure else None,
+        "strategy": str(plan.strategy),
+        "planner_seed": plan.seed,
+        "eval_grasp_calls": plan.stats.eval_grasp_calls,
+        "seconds": plan.stats.seconds,
+        "stages": [
+            {
+                "kind": str(stage.kind),
+                "grasp_pose": [float(v) for v in stage.grasp.pose],
+                "theta": stage.grasp.theta,
+                "quality": stage.grasp.quality,
+                "start_pose": [float(v) for v in stage.start_pose],
+                "release_pose": [float(v) for v in stage.release_pose],
+                "duration": _duration(stage),
+            }
+            for stage in plan.stages
+        ],
+    }
+
+
+def _duration(stage: Any) -> float:
+    return sum(segment.trajectory.duration for segment in stage.segments if segment.trajectory is not None)
+
+
+def _table(plan: Any) -> Table:
+    table = Table("stage", "from (m)", "to (m)", "fingers (mm)", "quality", "clearance (mm)", "motion (s)")
+    for stage in plan.stages:
+        table.add_row(
+            str(stage.kind),
+            _position(stage.start_pose),
+            _position(stage.release_pose),
+            f"{2e3 * stage.grasp.theta:.1f}",
+            f"{stage.grasp.quality:.3f}",
+            f"{1e3 * stage.grasp.clearance:.1f}",
+            f"{_duration(stage):.1f}",
+        )
+    return table
+
+
+def _position(pose: Any) -> str:
+    return "({:.2f}, {:.2f}, {:.2f})".format(*pose[4:])

@@ -1,0 +1,234 @@
+"""The planner as an expert that acts through an environment's own action space."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+from jaxtyping import Float
+from regrasp_planner import Failure, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy, plan
+
+from regrasp_gym.envs.base import RegraspEnv
+from regrasp_gym.errors import OptionError
+
+Command = Float[np.ndarray, " n+1"]
+Script = Generator[Command, None, Failure | None]
+
+
+@dataclass(frozen=True)
+class ExpertOptions:
+    """How patient the expert is.
+
+    Attributes:
+        max_stages: stages executed before it gives up.
+        arrival: largest joint error at which a motion counts as finished, radians.
+        arrival_steps: environment steps it waits for that.
+        grip_steps: least and most steps for closing the fingers.
+        open_steps: steps for opening them.
+        rest_steps: most steps to wait for the released target to come to rest.
+        calm_steps: steps in a row that it has to rest.
+        rest_speed: speed (m/s, and rad/s over 10) at which it counts as resting.
+        lost_travel: how much further than planned the fingers may close before the grasp counts as lost, as a share
+            of their range.
+        retries: plans made anew after a lost grasp.
+    """
+
+    max_stages: int = 6
+    arrival: float = 0.004
+    arrival_steps: int = 12
+    grip_steps: tuple[int, int] = (6, 16)
+    open_steps: int = 6
+    rest_steps: int = 60
+    calm_steps: int = 6
+    rest_speed: float = 0.005
+    lost_travel: float = 0.1
+    retries: int = 2
+
+
+class PlannerExpert:
+    """Plans from the environment's present state, follows the plan, looks where the target came to rest, plans on.
+
+    ``reset`` plans; each ``act`` gives the next action, or None once there is nothing more to do: then ``failure`` says
+    why it gave up, or is None if the target was brought to its goal.
+
+    Args:
+        env: an environment of this package, wrapped or not.
+        strategy: how far the planner may go.
+        seed: of the planner.
+        plan_options: of the planner.
+        options: see `ExpertOptions`.
+
+    Attributes:
+        plan: the first plan of the episode.
+        plans: all plans made in the episode, in order.
+        failure: why the expert gave up; None while it has not.
+        stage_index: number of the stage being executed, from 0; the number of stages executed at the end.
+        segment: what it is doing now; None before the first and after the last action.
+
+    Raises:
+        OptionError: the environment is not one of this package.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        strategy: Strategy | str = Strategy.STATIC,
+        seed: int = 0,
+        plan_options: PlanOptions | None = None,
+        options: ExpertOptions | None = None,
+    ) -> None:
+        inner = env.unwrapped
+        if not isinstance(inner, RegraspEnv):
+            raise OptionError(f"PlannerExpert needs an environment of regrasp_gym, got {type(inner).__name__}")
+        self.env: RegraspEnv = inner
+        self.strategy, self.seed = strategy, seed
+        self.plan_options, self.options = plan_options, options or ExpertOptions()
+        self.plans: list[Plan] = []
+        self.failure: Failure | None = None
+        self.stage_index = 0
+        self.segment: Segment | None = None
+        self._script: Script | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """The first plan of the episode."""
+        if not self.plans:
+            raise OptionError("there is no plan yet: call reset() first")
+        return self.plans[0]
+
+    def reset(self) -> bool:
+        """Plan from the environment's present state; False if there is no plan (see ``failure``)."""
+        self.failure, self.stage_index, self.segment = None, 0, None
+        self.plans = [self._plan()]
+        self.failure = self.plan.failure
+        self._script = self._episode() if self.plan.success else None
+        return self.plan.success
+
+    def act(self, observation: object = None) -> Float[np.ndarray, " m"] | None:
+        """The next action (float32, in the environment's action space), or None when there is nothing more to do.
+
+        The expert looks at the environment's state, not at the observation, which is taken for the sake of the
+        usual calling convention.
+        """
+        del observation
+        if self._script is None:
+            return None
+        try:
+            command = next(self._script)
+        except StopIteration as end:
+            self.failure, self._script, self.segment = end.value, None, None
+            return None
+        return self.env.action_toward(command)
+
+    # The episode as a recipe ------------------------------------------------------------------------------------
+
+    def _episode(self) -> Script:
+        """Take, put down, look, plan on, until the target is at its goal."""
+        current, lost = self.plan, 0
+        while True:
+            stage = current.stages[0]
+            held = yield from self._execute(stage)
+            if held:
+                yield from self._until_rest()
+                self.stage_index += 1
+                if self.env.is_success:
+                    return None
+                if len(current.stages) == 1:
+                    return self._failed(Reason.MISPLACED, stage, "pose at rest", "the target came to rest off its goal")
+            else:
+                lost += 1
+                if lost > self.options.retries:
+                    return self._failed(Reason.LOST_GRASP, stage, "friction", "the fingers closed on nothing")
+                yield from self._open()
+            if self.stage_index >= self.options.max_stages:
+                return self._failed(Reason.SETTLED_ELSEWHERE, stage, "stages", "too many stages without success")
+            ahead = current.stages[1:] if held else current.stages
+            current = self._plan(tuple(next_stage.grasp for next_stage in ahead[:1]))
+            self.plans.append(current)
+            if current.failure is not None:
+                message = f"no plan from where the target came to rest: {current.failure}"
+                return self._failed(Reason.SETTLED_ELSEWHERE, stage, current.failure.constraint, message)
+
+    def _execute(self, stage: Stage) -> Generator[Command, None, bool]:
+        """Run the segments of a stage; False as soon as the target is not in the hand although it should be."""
+        for segment in stage.segments:
+            self.segment = segment
+            if segment.trajectory is not None:
+                yield from self._follow(segment)
+            elif segment.kind is SegmentKind.CLOSE:
+                yield from self._close(segment.theta)
+            else:
+                yield from self._open(segment.theta)
+            if segment.holding and not self._holds(stage):
+                return False
+        return True
+
+    # Motions ----------------------------------------------------------------------------------------------------
+
+    def _follow(self, segment: Segment) -> Generator[Command, None, None]:
+        """Along the trajectory at the pace that the action space allows, then until the arm has arrived."""
+        trajectory = segment.trajectory
+        assert trajectory is not None
+        period = self.env.scenario.control_period
+        t = 0.0
+        while t < trajectory.duration:
+            pace = self.env.effort(np.append(trajectory.at(min(t + period, trajectory.duration)), segment.theta))
+            t = min(t + period / max(1.0, pace), trajectory.duration)
+            yield np.append(trajectory.at(t), segment.theta)
+        end = np.append(trajectory.goal, segment.theta)
+        for _ in range(self.options.arrival_steps):
+            if self.env.effort(end) < 0.05 and self._arrived():
+                return
+            yield end
+
+    def _close(self, theta: float) -> Generator[Command, None, None]:
+        """Close the fingers until they stand still."""
+        least, most = self.options.grip_steps
+        for step in range(most):
+            if step >= least and abs(self.env.world.theta_rate) < 1e-3:
+                return
+            yield self._standing(theta)
+
+    def _open(self, theta: float | None = None) -> Generator[Command, None, None]:
+        """Open the fingers."""
+        theta = self.env.scenario.robot.theta_range[1] if theta is None else theta
+        for _ in range(self.options.open_steps):
+            yield self._standing(theta)
+
+    def _until_rest(self) -> Generator[Command, None, None]:
+        """Stand still until the target does, or is where it belongs."""
+        calm = 0
+        for _ in range(self.options.rest_steps):
+            calm = calm + 1 if self._resting() else 0
+            if self.env.is_success or calm >= self.options.calm_steps:
+                return
+            yield self.env.command
+
+    # What it sees -----------------------------------------------------------------------------------------------
+
+    def _standing(self, theta: float) -> Command:
+        return np.append(self.env.command[:-1], theta)
+
+    def _arrived(self) -> bool:
+        return bool(np.abs(self.env.world.joint_positions - self.env.command[:-1]).max() < self.options.arrival)
+
+    def _resting(self) -> bool:
+        velocity = self.env.world.target_velocity
+        speed = max(np.linalg.norm(velocity[:3]), 0.1 * np.linalg.norm(velocity[3:]))
+        return bool(speed < self.options.rest_speed)
+
+    def _holds(self, stage: Stage) -> bool:
+        """The fingers are kept apart by the target, and they touch it."""
+        low, high = self.env.scenario.robot.theta_range
+        world = self.env.world
+        apart = world.theta > stage.grasp.theta - self.options.lost_travel * (high - low)
+        return bool(apart and world.target_contacts()[0])
+
+    def _plan(self, known_grasps: tuple = ()) -> Plan:
+        return plan(self.env.task(), self.env.planner_robot, self.strategy, self.seed, self.plan_options, known_grasps)
+
+    @staticmethod
+    def _failed(reason: Reason, stage: Stage, constraint: str, message: str) -> Failure:
+        return Failure(reason, stage.kind, constraint, message)

@@ -1,0 +1,114 @@
+"""Pictures and films of plans: where the robot and the target are at the turning points, and the execution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v3 as iio
+import jaxlie
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
+from regrasp_planner import Grasp, Plan, SegmentKind, Stage, Trajectory
+
+from regrasp_gym.envs.base import RegraspEnv
+from regrasp_gym.expert import PlannerExpert
+from regrasp_gym.scenes.scene import Pose
+
+Picture = UInt8[np.ndarray, "H W 3"]
+
+
+def plan_strip(env: RegraspEnv, plan: Plan, *, height: int = 300, width: int = 340) -> Picture:
+    """The turning points of a plan side by side, one row per stage; the environment is left as it was.
+
+    Args:
+        env: with ``render_mode="rgb_array"`` and ``render_size`` at least (height, width), in the state the plan was
+            made from.
+        plan: a successful plan.
+        height, width: of one picture, pixels.
+    """
+    state = env.get_state()
+    try:
+        rows = [
+            np.concatenate([_panel(env, moment, height, width) for moment in _turning_points(stage, number)], 1)
+            for number, stage in enumerate(plan.stages, 1)
+        ]
+    finally:
+        env.set_state(state)
+    return np.concatenate(rows, 0)
+
+
+def save_plan_picture(env: RegraspEnv, plan: Plan, path: Path) -> None:
+    """Write `plan_strip` to an image file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    iio.imwrite(path, plan_strip(env, plan))
+
+
+def save_execution(env: RegraspEnv, expert: PlannerExpert, path: Path, *, camera: str = "overview") -> bool:
+    """Let the expert act out its plan in the simulation, film it, and say whether it succeeded.
+
+    Args:
+        env: with ``render_mode="rgb_array"``.
+        expert: after its ``reset()``.
+        path: an .mp4 file, written at the environment's frame rate.
+        camera: camera of the film.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    frames = [env.picture(camera, *env.render_size)]
+    while (action := expert.act()) is not None:
+        env.step(action)
+        frames.append(env.picture(camera, *env.render_size))
+    write_film(path, np.stack(frames), round(1 / env.scenario.control_period))
+    return env.is_success
+
+
+def write_film(path: Path, frames: UInt8[np.ndarray, "T H W 3"], rate: int) -> None:
+    """Write frames as H.264, which every browser plays."""
+    iio.imwrite(path, frames, fps=rate, codec="libx264", macro_block_size=2)
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """The robot at a turning point, and the target: standing at a pose, or in the hand."""
+
+    caption: str
+    joints: Float[np.ndarray, " n"]
+    theta: float
+    target: Pose | Grasp
+
+
+def _turning_points(stage: Stage, number: int) -> Iterator[_Moment]:
+    moving: Trajectory | None = None
+    for segment in stage.segments:
+        moving = segment.trajectory or moving
+        assert moving is not None, "a stage begins with a motion"
+        theta = stage.grasp.theta if segment.holding else segment.theta
+        match segment.kind:
+            case SegmentKind.CLOSE:
+                yield _Moment(f"{number}. grasp", moving.goal, theta, stage.start_pose)
+            case SegmentKind.TRANSFER:
+                yield _Moment(f"{number}. carry", moving.at(0.5 * moving.duration), theta, stage.grasp)
+            case SegmentKind.OPEN:
+                yield _Moment(f"{number}. let go", moving.goal, theta, stage.release_pose)
+            case SegmentKind.RETREAT:
+                yield _Moment(f"{number}. retreat", moving.goal, theta, stage.settled_pose)
+            case _:
+                continue
+
+
+def _panel(env: RegraspEnv, moment: _Moment, height: int, width: int) -> Picture:
+    world = env.world
+    world.set_robot(moment.joints, moment.theta)
+    target = moment.target
+    if isinstance(target, Grasp):
+        target = np.asarray((jaxlie.SE3(world.gripper_pose) @ jaxlie.SE3(target.pose).inverse()).wxyz_xyz)
+    world.set_object_pose(env.scene.target.name, target)
+    picture = Image.fromarray(env.picture(env.render_camera, height, width))
+    draw = ImageDraw.Draw(picture)
+    font = ImageFont.load_default(size=max(12, height // 16))
+    left, top, right, bottom = draw.textbbox((10, 8), moment.caption, font=font)
+    draw.rectangle((left - 6, top - 4, right + 6, bottom + 4), fill=(255, 255, 255))
+    draw.text((10, 8), moment.caption, fill=(20, 20, 20), font=font)
+    return np.asarray(picture)
