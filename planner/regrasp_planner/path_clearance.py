@@ -13,7 +13,7 @@ touch on the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,12 @@ from regrasp_planner.geometry.support import ConvexBody, exact_support_value
 from regrasp_planner.robot import forward_kinematics
 from regrasp_planner.trajectory import Trajectory
 
-_CONFIGURATION_BUCKETS = (8, 64)
-_ROW_BUCKETS = (32, 128, 512)
+_CONFIGURATIONS = 32
+"""Configurations surveyed at once: their pairs stay in the cache."""
+_ROWS = 128
+"""Rows measured at once: fewer waste the vector units, more wait for the slowest and fall out of the cache."""
+_FEW_VERTICES = 8
+"""Boxes and capsules: pairs of bodies with at most this many vertices are measured apart, without the padding."""
 _ROUNDING = 2e-6
 """What single precision may get wrong in a lower bound, metres, for a workspace of a few metres."""
 RELIEF_SLOPE = 0.05
@@ -134,6 +138,11 @@ class PathClearance:
         self.margin: Float[np.ndarray, " P"] = np.where(margin > 0, margin + extra_margin, margin)
         self.pair_count = len(margin)
         self._joints, self._far = _chain_of_pairs(model)
+        self._bodies = jax.tree.map(np.asarray, arrays.bodies)
+        # Padding vertices come last.
+        self._few = replace(self._bodies, vertices=self._bodies.vertices[:, :_FEW_VERTICES])
+        rest = self._bodies.vertices[:, _FEW_VERTICES:] != self._bodies.center[:, None]
+        self._simple = ~rest.any(axis=(1, 2))[model.pairs].any(axis=1)
         self._ends: list[_End] = []
 
     def set_ends(self, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"]) -> None:
@@ -166,11 +175,10 @@ class PathClearance:
         """
         variation = np.zeros_like(q) if variation is None else variation
         parts: list[list[np.ndarray]] = []
-        for start in range(0, len(q), _CONFIGURATION_BUCKETS[-1]):
-            part = slice(start, start + _CONFIGURATION_BUCKETS[-1])
+        for start in range(0, len(q), _CONFIGURATIONS):
+            part = slice(start, start + _CONFIGURATIONS)
             keep = len(q[part])
-            size = _bucket(keep, _CONFIGURATION_BUCKETS)
-            padded, turned = _pad(q[part], size), _pad(variation[part], size)
+            padded, turned = _pad(q[part], _CONFIGURATIONS), _pad(variation[part], _CONFIGURATIONS)
             out = _survey(self.model.arrays, self._joints, self._far, padded, turned, self.theta)
             bounds, motion, *rest = (np.asarray(array) for array in out)
             parts.append([array[:keep] for array in (bounds.T, motion.T, *rest)])
@@ -181,17 +189,19 @@ class PathClearance:
         """Distances and gradients of the given (configuration, pair) rows of a survey."""
         count, n = len(sample), survey.q.shape[1]
         distance, certified, gradient = np.empty(count), np.empty(count), np.empty((count, n))
-        pairs = self.model.pairs
-        for start in range(0, count, _ROW_BUCKETS[-1]):
-            part = slice(start, start + _ROW_BUCKETS[-1])
-            i, k = sample[part], pair[part]
-            size = _bucket(len(i), _ROW_BUCKETS)
-            a, b = pairs[k, 0], pairs[k, 1]
-            rows = (a, b, survey.poses[i, a], survey.poses[i, b], self._joints[k], survey.axis[i], survey.point[i])
-            d, c, g = _measure(self.model.arrays.bodies, *(_pad(array, size) for array in rows))
-            keep = len(i)
-            distance[part], certified[part] = np.asarray(d)[:keep], np.asarray(c)[:keep]
-            gradient[part] = np.asarray(g)[:keep]
+        a, b = self.model.pairs[pair].T
+        simple = self._simple[pair]
+        for bodies, chosen in ((self._few, np.flatnonzero(simple)), (self._bodies, np.flatnonzero(~simple))):
+            for start in range(0, len(chosen), _ROWS):
+                part = chosen[start : start + _ROWS]
+                rows = _pad(part, _ROWS)
+                i, first, second = sample[rows], a[rows], b[rows]
+                poses = survey.poses[i, first], survey.poses[i, second]
+                turns = self._joints[pair[rows]], survey.axis[i], survey.point[i]
+                # Gathered here and not in the program, which is then the same for every scene and robot.
+                out = _measure(bodies[first], bodies[second], *poses, *turns)
+                keep = len(part)
+                distance[part], certified[part], gradient[part] = (np.asarray(array)[:keep] for array in out)
         return Measured(sample, pair, distance, certified, gradient)
 
     def measure(self, q: Float[np.ndarray, "N n"], below: Float[np.ndarray, "*N P"]) -> Measured:
@@ -428,17 +438,16 @@ def _box_bounds(
 
 @jax.jit
 def _measure(
-    bodies: ConvexBody,
-    index_a: Int[Array, " R"],
-    index_b: Int[Array, " R"],
+    body_a: ConvexBody,
+    body_b: ConvexBody,
     pose_a: Float[Array, "R 7"],
     pose_b: Float[Array, "R 7"],
     sign: Float[Array, "R n"],
     axis: Float[Array, "R n 3"],
     point: Float[Array, "R n 3"],
 ) -> tuple[Array, Array, Array]:
-    body_a, body_b = bodies[index_a], bodies[index_b]
-    found = separation(body_a, pose_a, body_b, pose_b)
+    # One local maximum is enough: overlapping pairs are only ever pushed apart, and near contact there is one.
+    found = separation(body_a, pose_a, body_b, pose_b, thorough=False)
     x = found.direction
     reach_a = exact_support_value(body_a, jaxlie.SO3(pose_a[:, :4]).inverse() @ x)
     reach_b = exact_support_value(body_b, jaxlie.SO3(pose_b[:, :4]).inverse() @ -x)
@@ -447,10 +456,6 @@ def _measure(
     witness = jnp.where(sign[..., None] > 0, found.point_b[:, None], found.point_a[:, None])
     gradient = sign * (jnp.cross(axis, witness - point) * x[:, None]).sum(-1)
     return found.distance, certified, gradient
-
-
-def _bucket(count: int, buckets: tuple[int, ...]) -> int:
-    return next((size for size in buckets if size >= count), buckets[-1])
 
 
 def _pad(values: np.ndarray, size: int) -> np.ndarray:

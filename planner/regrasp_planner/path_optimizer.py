@@ -150,6 +150,7 @@ def optimize_path(
     multiplier = np.zeros((len(samples), pair_count))
     # One centimetre of violation costs as much as the straight motion itself.
     penalty = 1e4 * max(problem.scale, 1e-2)
+    stiffest = 1e4 * penalty
     radius = 0.5
     x = np.clip(control_points[1:-1], lower, upper)
     state = problem.evaluate(x, multiplier, penalty)
@@ -179,7 +180,7 @@ def optimize_path(
         r = state.rows
         multiplier[r.sample, r.pair] = np.maximum(0.0, multiplier[r.sample, r.pair] - penalty * r.clearance)
         if state.violation > 0.4 * last_violation:
-            penalty *= 4.0
+            penalty = min(4.0 * penalty, stiffest)
         if radius < 1e-3:
             radius = 0.05
         last_violation = state.violation
@@ -259,7 +260,7 @@ class _Problem:
         step = np.zeros(slope.size)
         block = hessian[np.ix_(move, move)]
         diagonal = np.arange(len(move))
-        damping = 0.0
+        damping = 1e-10 * float(np.trace(block)) / max(len(move), 1)
         for _ in range(30):
             damped = block.copy()
             damped[diagonal, diagonal] += damping
@@ -267,7 +268,7 @@ class _Problem:
             longest = np.abs(step).max()
             if longest <= 1.2 * radius:
                 break
-            damping = max(4 * damping, 0.05 * float(np.mean(np.diag(block))))
+            damping = max(4 * damping, 1e-2 * float(np.median(np.diag(block))))
         step = np.clip(np.clip(step, -radius, radius), low, high)
         predicted = -float(slope @ step) - 0.5 * float(step @ (hessian @ step))
         return step.reshape(shape), predicted

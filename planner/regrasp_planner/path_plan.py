@@ -237,7 +237,9 @@ class _Query:
                 return result
         return self.searched(start, goal)
 
-    def optimized(self, guess: Float[np.ndarray, "K n"], method: str, control_points: int | None = None):
+    def optimized(
+        self, guess: Float[np.ndarray, "K n"], method: str, control_points: int | None = None
+    ) -> PathResult | None:
         """Optimise a polyline into a path that passes the exact check, or None."""
         count = control_points or self.options.control_points
         points = np.clip(fit_control_points(guess, count), self.lower, self.upper)
@@ -255,6 +257,7 @@ class _Query:
             )
             self.stats["iterations"] = int(self.stats["iterations"]) + outcome.iterations
             if outcome.violation > _NEARLY:
+                self.blocked = self.clearance.touching(outcome.path(samples)) or self.blocked
                 return None
             result = self.finish(outcome.path, method)
             if result is not None:

@@ -94,10 +94,10 @@ def follow_line(
         goal[:3, :3] = _rotation(turn * k / count) @ origin[:3, :3]
         # Linear prediction from the last step halves the Newton steps.
         guess = q if len(out) < 2 else np.clip(2 * q - out[-2], kinematics.lower, kinematics.upper)
-        solved = _newton(kinematics, guess, goal)
-        if solved is None or np.abs(solved - q).max() > (0.6 if coarse else 0.2):
-            near = np.flatnonzero(np.minimum(q - kinematics.lower, kinematics.upper - q) < 1e-3)
-            return Line(np.array(out), (k - 1) / count, int(near[0]) if len(near) else None)
+        solved, reached = _newton(kinematics, guess, goal)
+        if not reached or np.abs(solved - q).max() > (0.6 if coarse else 0.2):
+            at_limit = np.flatnonzero(np.minimum(solved - kinematics.lower, kinematics.upper - solved) < 1e-9)
+            return Line(np.array(out), (k - 1) / count, int(at_limit[0]) if len(at_limit) else None)
         q = solved
         out.append(q)
     return Line(np.array(out), 1.0, None)
@@ -105,14 +105,14 @@ def follow_line(
 
 def _newton(
     kinematics: ArmKinematics, guess: Float[np.ndarray, " n"], goal: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, " n"] | None:
-    """Configuration nearest to the guess whose gripper pose is the goal, or None."""
+) -> tuple[Float[np.ndarray, " n"], bool]:
+    """Configuration near the guess whose gripper pose is the goal; false with the last iterate if there is none."""
     q = guess
     for _ in range(12):
         pose, jacobian = kinematics.gripper(q)
         error = np.concatenate([goal[:3, 3] - pose[:3, 3], _rotation_vector(goal[:3, :3] @ pose[:3, :3].T)])
         if np.abs(error).max() < _TOLERANCE:
-            return q
+            return q, True
         step = _damped_step(jacobian, error)
         # Joints that the step would push through their limit are taken out, once; then the rest solves again.
         blocked = (q + step > kinematics.upper + 1e-12) | (q + step < kinematics.lower - 1e-12)
@@ -121,7 +121,7 @@ def _newton(
             rest = np.where(blocked, 0.0, 1.0) * jacobian
             step = np.where(blocked, stop, _damped_step(rest, error - jacobian[:, blocked] @ stop[blocked]))
         q = np.clip(q + step, kinematics.lower, kinematics.upper)
-    return None
+    return q, False
 
 
 def _damped_step(jacobian: Float[np.ndarray, "6 n"], error: Float[np.ndarray, 6]) -> Float[np.ndarray, " n"]:
