@@ -69,7 +69,7 @@ def _can() -> ObjectModel:
 
 
 def _mustard() -> ObjectModel:
-    body = [(90, 54, 24, 0), (96, 58, 26, 25), (94, 57, 26, 110), (40, 38, 19, 152)]
+    body = [(90, 54, 24, 0), (96, 58, 26, 25), (94, 57, 26, 110), (40, 38, 17, 152)]
     neck = [(18, 152), (16, 166), (8, 191)]
     face = panel(
         1.05,
@@ -87,7 +87,7 @@ def _mustard() -> ObjectModel:
     cap = revolve([(18, 152), (17.5, 160), (15, 166), (9, 186), (7, 191), (0, 191)], smooth=False).painted(
         (0.85, 0.12, 0.1, 1.0), 0.4, 0.5
     )
-    pieces = [shapes.stacked(body), shapes.lathe(neck, 12)]
+    pieces = [shapes.stacked(body, 4), shapes.lathe(neck, 12)]
     return _made("006_mustard_bottle", "mustard bottle", 0.603, pieces, [shell, label, cap])
 
 
@@ -153,10 +153,10 @@ def _banana() -> ObjectModel:
 
 
 def _strawberry() -> ObjectModel:
-    pieces = [shapes.lathe([(8, 0), (16, 10), (21.5, 27), (21, 38), (9, 46)], 12)]
+    pieces = [shapes.lathe([(11, 0), (17, 10), (22, 27), (21.5, 38), (9, 46)], 12)]
     skin = prints.dotted((205, 25, 35), (240, 200, 110), 120, 0.05)
     flesh = revolve(
-        [(0, 0), (8, 0), (13, 5), (17, 12), (20.4, 20), (21.4, 28), (21, 37), (17, 43), (9, 45)], 24, texture=skin
+        [(0, 0), (10, 0), (14, 5), (17.5, 12), (20.4, 20), (21.4, 28), (21, 37), (17, 43), (9, 45)], 24, texture=skin
     )
     leaf = revolve([(20, 41.5), (13, 45.4), (3, 46), (2, 47), (0, 47)], 7, smooth=False).painted(
         (0.2, 0.5, 0.15, 1.0), 0.1, 0.2
@@ -165,10 +165,22 @@ def _strawberry() -> ObjectModel:
 
 
 def _pear() -> ObjectModel:
-    pieces = [shapes.lathe([(12, 0), (27, 9), (33, 29), (28, 52), (17, 78), (7, 96)], 10)]
+    pieces = [shapes.lathe([(12, 0), (28, 9), (34.5, 29), (29, 52), (17, 78), (7, 96)], 10)]
     skin = prints.blended((190, 190, 70), (150, 185, 60), (205, 175, 80), 16, 0.03)
     flesh = revolve(
-        [(0, 0), (12, 0), (20, 4), (28, 12), (32.4, 26), (31, 42), (26, 56), (18.5, 74), (14, 88), (7, 95), (0, 96)],
+        [
+            (0, 0),
+            (12, 0),
+            (20, 4),
+            (28.5, 12),
+            (33.6, 27),
+            (32, 42),
+            (26.5, 56),
+            (18.5, 74),
+            (14, 88),
+            (7, 95),
+            (0, 96),
+        ],
         30,
         texture=skin,
     )

@@ -37,7 +37,7 @@ def robot_from_model(
     width_axis: Sequence[float] = (0.0, 1.0, 0.0),
     approach_axis: Sequence[float] = (0.0, 0.0, 1.0),
     samples: int = 400,
-    reach: float = 0.05,
+    reach: float = 0.15,
 ) -> Robot:
     """The robot of a model, with bodies from the collision geoms (group 3) of its links, hand and fingers.
 
@@ -74,6 +74,8 @@ def robot_from_model(
             raise RobotModelError(f"{what} of {name!r} has shape {np.shape(array)}, it needs ({len(joint_ids)},)")
     link_bodies = [base_body, *reader.chain(base_body, joint_ids)]
     finger_bodies = [int(model.jnt_bodyid[j]) for j in finger_ids]
+    if pads[0] == pads[1]:
+        raise RobotModelError(f"pads {pads} of {name!r} must be two geoms, one on each finger")
     if any(reader.parent_unit(body, link_bodies) != len(joint_ids) for body in finger_bodies):
         raise RobotModelError(f"a finger of {name!r} is not carried by the last link, {joints[-1]!r}")
 
