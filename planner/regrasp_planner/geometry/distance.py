@@ -6,12 +6,13 @@ the bodies, or minus the least translation that separates them. Its maximiser x*
 Accuracy. The DSF contains the hull, so the distance is never larger than that of the hulls (`certified_distance` gives
 a bound that does not depend on the sharpness). Separated pairs have one maximiser, which the centre line finds.
 Overlapping pairs have several: the best few of a fixed set of directions are climbed as well; every result is still a
-lower bound of the distance, and an upper bound of nothing.
+lower bound of the distance.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -42,12 +43,14 @@ class Separation:
     point_b: Float[Array, "N 3"]
 
 
+@partial(jax.jit, static_argnames="thorough")
 def separation(
     bodies_a: ConvexBody,
     poses_a: Pose7,
     bodies_b: ConvexBody,
     poses_b: Pose7,
     x0: Float[Array, "N 3"] | None = None,
+    thorough: bool = True,
 ) -> Separation:
     """Signed distances, contact normals and witness points of N pairs of bodies.
 
@@ -58,13 +61,15 @@ def separation(
         bodies_a, bodies_b: batches of N bodies.
         poses_a, poses_b: (N, 7) wxyz_xyz poses in the world.
         x0: (N, 3) directions to start from (need not be of unit length), for example the last result; default: from
-            centre to centre.
+            centre to centre, or the normal of the ellipsoids of inertia if that is better.
+        thorough: climb overlapping pairs from six more directions (about six times their cost). Without it one local
+            maximum is taken, a smaller distance than the true one for about one overlapping pair in fifteen.
     """
     frozen_a, frozen_b = jax.lax.stop_gradient((bodies_a, bodies_b))
     rotations = jaxlie.SO3(poses_a[:, :4]).as_matrix(), jaxlie.SO3(poses_b[:, :4]).as_matrix()
     shifts = poses_a[:, 4:], poses_b[:, 4:]
     start = jnp.zeros((poses_a.shape[0], 3)) if x0 is None else jax.lax.stop_gradient(x0)
-    x, arm_a, arm_b = _contacts(frozen_a, rotations[0], shifts[0], frozen_b, rotations[1], shifts[1], start)
+    x, arm_a, arm_b = _contacts(thorough, frozen_a, rotations[0], shifts[0], frozen_b, rotations[1], shifts[1], start)
     # Envelope theorem: with x and the points of the bodies held, only the bodies' motion is left.
     held_x, held_a, held_b = jax.lax.stop_gradient((x, arm_a, arm_b))
     local_a = jnp.einsum("nij,ni->nj", jax.lax.stop_gradient(rotations[0]), held_a)
@@ -74,11 +79,13 @@ def separation(
     return Separation((held_x * (moved_b - moved_a)).sum(-1), x, arm_a + shifts[0], arm_b + shifts[1])
 
 
+@jax.jit
 def signed_distance(body_a: ConvexBody, pose_a: jaxlie.SE3, body_b: ConvexBody, pose_b: jaxlie.SE3) -> Float[Array, ""]:
     """Signed distance of two bodies, metres; see `separation` for many pairs at once, derivatives and accuracy."""
     return _single(body_a, pose_a, body_b, pose_b).distance[0]
 
 
+@jax.jit
 def contact_direction(
     body_a: ConvexBody, pose_a: jaxlie.SE3, body_b: ConvexBody, pose_b: jaxlie.SE3
 ) -> Float[Array, " 3"]:
@@ -86,6 +93,7 @@ def contact_direction(
     return _single(body_a, pose_a, body_b, pose_b).direction[0]
 
 
+@jax.jit
 def certified_distance(
     bodies_a: ConvexBody, poses_a: Pose7, bodies_b: ConvexBody, poses_b: Pose7, x0: Float[Array, "N 3"] | None = None
 ) -> Float[Array, " N"]:
@@ -133,8 +141,9 @@ def _turned(rotations: Float[Array, "N 3 3"], offsets: Float[Array, "N V 3"]) ->
     return jnp.stack([turn[i, 0] * w[:, 0] + turn[i, 1] * w[:, 1] + turn[i, 2] * w[:, 2] for i in range(3)])
 
 
-@jax.custom_jvp
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _contacts(
+    thorough: bool,
     bodies_a: ConvexBody,
     rotations_a: Float[Array, "N 3 3"],
     shifts_a: Float[Array, "N 3"],
@@ -145,8 +154,7 @@ def _contacts(
 ) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"], Float[Array, "N 3"]]:
     """x* and both support points relative to the origins of the bodies' frames, in world axes."""
     pairs = _pairs(bodies_a, rotations_a, shifts_a, bodies_b, rotations_b, shifts_b)
-    given = jnp.where((start * start).sum(-1) > 0, start.T, pairs.shift)
-    x = maximisers(pairs, given)
+    x = maximisers(pairs, start.T, thorough)
     _, core_a, _ = core_terms(pairs.offsets_a, x, pairs.sharpness_a)
     _, core_b, _ = core_terms(pairs.offsets_b, x, pairs.sharpness_b)
     direction = x.T
@@ -160,7 +168,7 @@ def _rotate(rotations: Float[Array, "N 3 3"], vectors: Float[Array, "N 3"]) -> F
 
 
 @_contacts.defjvp
-def _contacts_jvp(primals, tangents):  # pyright: ignore[reportMissingParameterType, reportUnusedFunction]
+def _contacts_jvp(thorough, primals, tangents):  # pyright: ignore[reportMissingParameterType, reportUnusedFunction]
     """Implicit function theorem on the tangent plane at x*.
 
     A support point in world axes is s(x) = R σ(Rᵀx), so with the Hessian H = R ∇²h Rᵀ its differential is
@@ -169,7 +177,7 @@ def _contacts_jvp(primals, tangents):  # pyright: ignore[reportMissingParameterT
     """
     bodies_a, rotations_a, shifts_a, bodies_b, rotations_b, shifts_b, _ = primals
     _, turn_a, move_a, _, turn_b, move_b, _ = tangents
-    x, arm_a, arm_b = _contacts(*primals)
+    x, arm_a, arm_b = _contacts(thorough, *primals)
     pairs = _pairs(bodies_a, rotations_a, shifts_a, bodies_b, rotations_b, shifts_b)
     _, _, hessian_a = core_terms(pairs.offsets_a, x.T, pairs.sharpness_a)
     _, _, hessian_b = core_terms(pairs.offsets_b, x.T, pairs.sharpness_b)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from regrasp_planner.errors import GeometryError
@@ -66,11 +68,145 @@ def solid_center(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
     Raises:
         GeometryError: the points span no volume.
     """
-    hull = qhull(points)
+    return center_of_mass(qhull(points))
+
+
+def center_of_mass(hull: ConvexHull) -> Float[np.ndarray, " 3"]:
+    """Centre of mass of the uniform solid hull, (3,) metres."""
     inside = hull.points[hull.vertices].mean(axis=0)
     corners = hull.points[hull.simplices] - inside
-    volumes = np.abs(np.linalg.det(corners))
-    return inside + (volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / (4 * volumes.sum())
+    volumes = np.abs(np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])))
+    return inside + (volumes @ corners.sum(axis=1)) / (4 * volumes.sum())
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """Of a uniform solid.
+
+    Attributes:
+        volume: m³.
+        center: (3,) centre of mass, metres.
+        inertia: (3, 3) inertia about the centre of mass for unit mass, m².
+    """
+
+    volume: float
+    center: Float[np.ndarray, " 3"]
+    inertia: Float[np.ndarray, "3 3"]
+
+
+def mass_properties(points: Float[np.ndarray, "N 3"]) -> MassProperties:
+    """Volume, centre of mass and inertia per mass of the uniform solid hull of the points.
+
+    The hull is cut into tetrahedra from an interior point; a tetrahedron with a corner at the origin and the others
+    at v_i has second moment ∫ r rᵀ = V/20 (Σ v_i v_iᵀ + (Σ v_i)(Σ v_i)ᵀ).
+
+    Raises:
+        GeometryError: the points are no solid.
+    """
+    hull = qhull(points)
+    center = center_of_mass(hull)
+    corners = hull.points[hull.simplices] - center
+    volumes = np.abs(np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
+    sums = corners.sum(axis=1)
+    second = np.einsum("t,tki,tkj->ij", volumes, corners, corners) + np.einsum("t,ti,tj->ij", volumes, sums, sums)
+    second /= 20 * volumes.sum()
+    return MassProperties(float(volumes.sum()), center, np.trace(second) * np.eye(3) - second)
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Facets of a convex hull, coplanar triangles merged, seen from a point inside.
+
+    Attributes:
+        normals: (F, 3) outward unit normals.
+        heights: (F,) distance of the facet's plane from the point, metres.
+        margins: (F,) signed distance, within the plane, of the point's foot from the nearest boundary edge, metres:
+            positive inside of the facet, negative when the solid would topple if it stood on it.
+        topples_to: (F,) the neighbour over the edge that the foot lies farthest beyond; the facet itself if none.
+        edges: (E, 2) facets on both sides of each edge of the hull (each edge once).
+        passes: (E,) greatest height of the point above the ground while the solid rolls over the edge from one facet
+            to the other, metres.
+    """
+
+    normals: Float[np.ndarray, "F 3"]
+    heights: Float[np.ndarray, " F"]
+    margins: Float[np.ndarray, " F"]
+    topples_to: Int[np.ndarray, " F"]
+    edges: Int[np.ndarray, "E 2"]
+    passes: Float[np.ndarray, " E"]
+
+
+def facets(hull: ConvexHull, point: Float[np.ndarray, " 3"], coplanar: float = 1e-5) -> Facets:
+    """Facets of a hull about an interior ``point`` (3,), merging neighbours whose normals differ by ``coplanar`` radians."""
+    triangle_normals, neighbors = hull.equations[:, :3], hull.neighbors
+    count = len(neighbors)
+    across = np.linalg.norm(triangle_normals[:, None] - triangle_normals[neighbors], axis=2)
+    flat = across < coplanar
+    if flat.any():
+        rows, columns = np.nonzero(flat)
+        graph = coo_matrix((np.ones(len(rows)), (rows, neighbors[rows, columns])), shape=(count, count))
+        number, facet_of = connected_components(graph, directed=False)
+    else:
+        number, facet_of = count, np.arange(count)
+    first = np.zeros(number, int)
+    first[facet_of[::-1]] = np.arange(count)[::-1]
+    normals = triangle_normals[first]
+    heights = -(hull.equations[first, 3] + normals @ point)
+
+    corners = hull.points[hull.simplices] - point
+    start, end = corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]
+    along = end - start
+    inward = np.cross(triangle_normals[:, None], along)
+    inward *= np.sign(((corners - start) * inward).sum(axis=2, keepdims=True))
+    slack = -(start * inward).sum(axis=2) / np.linalg.norm(inward, axis=2)
+    other = facet_of[neighbors]
+    inner = other == facet_of[:, None]
+    slack[inner] = np.inf
+
+    margins = np.full(number, np.inf)
+    np.minimum.at(margins, facet_of, slack.min(axis=1))
+    topples_to = np.arange(number)
+    worst = slack.argmin(axis=1)
+    leaves = np.flatnonzero((slack.min(axis=1) == margins[facet_of]) & (margins[facet_of] < 0))
+    topples_to[facet_of[leaves]] = other[leaves, worst[leaves]]
+
+    triangle, side = np.nonzero(~inner & (np.arange(count)[:, None] < neighbors))
+    edges = np.stack([facet_of[triangle], other[triangle, side]], axis=1)
+    a, d = start[triangle, side], along[triangle, side]
+    foot = a - ((a * d).sum(axis=1) / (d * d).sum(axis=1))[:, None] * d
+    # On the arc between the two normals the height is foot·x: it peaks inside if the foot lies between them.
+    first_normal, second_normal = normals[edges[:, 0]], normals[edges[:, 1]]
+    cosine = (first_normal * second_normal).sum(axis=1)
+    to_first, to_second = (foot * first_normal).sum(axis=1), (foot * second_normal).sum(axis=1)
+    peaks = (to_second > cosine * to_first) & (to_first > cosine * to_second)
+    passes = np.where(peaks, np.linalg.norm(foot, axis=1), np.maximum(to_first, to_second))
+    return Facets(normals, heights, margins, topples_to, edges, passes)
+
+
+def minimal_width(points: Float[np.ndarray, "N 3"]) -> float:
+    """Least distance, metres, between two parallel planes that enclose the points.
+
+    It is attained between a facet and a vertex or between two edges (Houle and Toussaint, IEEE PAMI 1988).
+
+    Raises:
+        GeometryError: the points are no solid.
+    """
+    hull = qhull(points)
+    vertices = hull.points[hull.vertices]
+    ends = np.unique(
+        np.sort(np.concatenate([hull.simplices[:, [0, 1]], hull.simplices[:, [1, 2]], hull.simplices[:, [0, 2]]])),
+        axis=0,
+    )
+    directions = hull.points[ends[:, 1]] - hull.points[ends[:, 0]]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    widths = np.ptp(hull.equations[:, :3] @ vertices.T, axis=1).min()
+    for i, direction in enumerate(directions[:-1]):
+        normals = np.cross(direction, directions[i + 1 :])
+        lengths = np.linalg.norm(normals, axis=1)
+        normals = normals[lengths > 1e-9] / lengths[lengths > 1e-9, None]
+        if len(normals):
+            widths = min(widths, np.ptp(normals @ vertices.T, axis=1).min())
+    return float(widths)
 
 
 def reduced_hull(points: Float[np.ndarray, "N 3"], max_vertices: int) -> tuple[Float[np.ndarray, "K 3"], float]:
