@@ -12,6 +12,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import gymnasium
+from gymnasium.envs.registration import WrapperSpec
 
 if TYPE_CHECKING:
     from regrasp_gym.expert import PlannerExpert
@@ -33,6 +34,7 @@ def _register() -> None:
         id="regrasp_gym/PandaYCB-v0",
         entry_point="regrasp_gym.envs.panda_ycb:PandaYCBEnv",
         max_episode_steps=1000,
+        additional_wrappers=(WrapperSpec("GoalReward", "regrasp_gym.envs.wrappers:GoalReward", {}),),
     )
 
 

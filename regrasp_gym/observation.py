@@ -1,7 +1,6 @@
 """What the agent sees of a world: vectors of fixed size, whatever the number of objects.
 
-Vectors are float64 in metres, radians and seconds; poses are wxyz_xyz with the first non-zero entry of the quaternion
-positive. Each layout is written down once, here, as a table of (name, size); the environments' docstrings repeat it
+Vectors are float64 in metres, radians and seconds; poses are wxyz_xyz, `canonical`. Each layout is written down once, here, as a table of (name, size); the environments' docstrings repeat it
 for their robot, and a test compares the two.
 """
 

@@ -135,8 +135,8 @@ def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float) -
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.86, 0.9, 0.94],
-        rgb2=[0.62, 0.68, 0.75],
+        rgb1=[0.9, 0.93, 0.96],
+        rgb2=[0.7, 0.74, 0.78],
         width=64,
         height=64 * 6,
     )
@@ -155,10 +155,11 @@ def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float) -
             texture.height, texture.width = picture.shape[:2]
             texture.data = picture.tobytes()
             made.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    # Finite and in one piece: MuJoCo draws an infinite floor in thousands of quads, which doubles a frame's cost.
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 1],
+        size=[8, 8, 20],
         pos=[0, 0, floor_height],
         material="floor",
         group=2,

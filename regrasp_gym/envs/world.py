@@ -126,6 +126,15 @@ class World:
             for other in self._other_geoms
         )
 
+    def set_robot(self, joints: Float[np.ndarray, " n"], theta: float) -> None:
+        """Put the robot somewhere else, at rest, its set points with it. For pictures; no episode does this."""
+        self.data.qpos[self._arm_qpos] = joints
+        self.data.qpos[self._finger_qpos] = theta
+        self.data.qvel[self._arm_dof] = 0.0
+        self.data.qvel[self._finger_dof] = 0.0
+        self.set_command(np.append(joints, theta))
+        self.refresh()
+
     def set_object_pose(self, name: str, pose: Pose, velocity: Float[np.ndarray, " 6"] | None = None) -> None:
         """Put an object somewhere else, at rest unless a velocity (m/s, rad/s, world) is given.
 
