@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import imageio.v3 as iio
-import jaxlie
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from regrasp_planner import Grasp, Plan, SegmentKind, Stage, Trajectory
+from regrasp_planner.pose import rigid, wxyz_xyz
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.expert import PlannerExpert
@@ -103,7 +103,7 @@ def _panel(env: RegraspEnv, moment: _Moment, height: int, width: int) -> Picture
     world.set_robot(moment.joints, moment.theta)
     target = moment.target
     if isinstance(target, Grasp):
-        target = np.asarray((jaxlie.SE3(world.gripper_pose) @ jaxlie.SE3(target.pose).inverse()).wxyz_xyz)
+        target = wxyz_xyz(rigid(world.gripper_pose) * rigid(target.pose).inv())
     world.set_object_pose(env.scene.target.name, target)
     picture = Image.fromarray(env.picture(env.render_camera, height, width))
     draw = ImageDraw.Draw(picture)

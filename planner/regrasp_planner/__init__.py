@@ -30,6 +30,7 @@ from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, generate_grasps  #
 from regrasp_planner.pipeline import PlanOptions, plan  # noqa: E402
 from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
 from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
+from regrasp_planner.stab_pose import StablePoses, stable_poses  # noqa: E402
 from regrasp_planner.stages import Failure, Plan, Reason, Segment, SegmentKind, Stage, StageKind, Strategy  # noqa: E402
 from regrasp_planner.trajectory import Trajectory  # noqa: E402
 
@@ -52,6 +53,7 @@ __all__ = [
     "Scene",
     "Segment",
     "SegmentKind",
+    "StablePoses",
     "Stage",
     "StageKind",
     "Strategy",
@@ -62,4 +64,5 @@ __all__ = [
     "plan",
     "separation",
     "signed_distance",
+    "stable_poses",
 ]

@@ -25,8 +25,9 @@ from regrasp_planner.geometry.support import ConvexBody, support_value
 from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product, Sphere
 from regrasp_planner.optim.trust_region import trust_region
+from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot import Gripper
-from regrasp_planner.scene import Body, Pose, Scene
+from regrasp_planner.scene import Body, Scene
 
 OBSTACLE_BUCKETS = (24, 48)
 VERTEX_BUCKETS = (32, 64)
@@ -55,7 +56,7 @@ class Grasp:
 
     def gripper_pose(self, target_pose: Pose) -> Pose:
         """Pose of the gripper (7,) in the world when the target is at ``target_pose``."""
-        return np.asarray((jaxlie.SE3(jnp.asarray(target_pose)) @ jaxlie.SE3(jnp.asarray(self.pose))).wxyz_xyz)
+        return wxyz_xyz(rigid(target_pose) * rigid(self.pose))
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_planner.errors import TaskError
 from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, GraspResult, generate_grasps
+from regrasp_planner.pose import Pose
 from regrasp_planner.robot import Robot, check_configuration
-from regrasp_planner.scene import Body, Pose, Scene, Task
+from regrasp_planner.scene import Body, Scene, Task
+from regrasp_planner.stab_pose import StablePoses, stable_poses
 from regrasp_planner.stage_motion import Clock, Ends, MotionOptions, StageMotion, Surroundings, flipped, solve_ends
 from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Stage, StageKind, Strategy
 
@@ -192,10 +194,8 @@ class _Planner:
 
     def static_regrasp(self, goal: Pose) -> tuple[Stage, ...] | Failure:
         """Two stages with the target put down in one of its stable poses in between."""
-        from regrasp_planner.stab_pose import stable_poses
-
         task, options = self.task, self.options
-        poses = self.clock.time(
+        poses: StablePoses = self.clock.time(
             "stab_pose", lambda: stable_poses(task.target.hull_vertices(), task.target.center_of_mass)
         )
         failure = Failure(

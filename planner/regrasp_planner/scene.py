@@ -8,9 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.geometry.support import ConvexBody
-
-Pose = Float[np.ndarray, " 7"]
-"""A pose as wxyz_xyz (unit quaternion first, then the position in metres): ``jaxlie.SE3(pose)`` makes it a group element."""
+from regrasp_planner.pose import Pose
 
 
 @dataclass(frozen=True)

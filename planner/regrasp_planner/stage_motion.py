@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-import jaxlie
 import numpy as np
 from jaxtyping import Float
 
@@ -19,8 +18,9 @@ from regrasp_planner.collision import CollisionModel, collision_model
 from regrasp_planner.grasp_gen import Grasp
 from regrasp_planner.ik_solve import solve_ik
 from regrasp_planner.path_plan import PathOptions, PathResult, cartesian_path, plan_path
+from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot import Robot
-from regrasp_planner.scene import Body, Obstacle, Pose
+from regrasp_planner.scene import Body, Obstacle
 from regrasp_planner.stages import Failure, Reason, Segment, SegmentKind, Stage, StageKind
 from regrasp_planner.trajectory import Trajectory
 
@@ -73,7 +73,7 @@ def flipped(grasp: Grasp, robot: Robot) -> Grasp:
     """The same grasp with the gripper turned half round about its approach axis: the fingers change places."""
     axis = np.asarray(robot.gripper.approach_axis)
     turn = np.concatenate([[0.0], axis, np.zeros(3)])
-    pose = np.asarray((jaxlie.SE3(grasp.pose) @ jaxlie.SE3(turn)).wxyz_xyz)
+    pose = wxyz_xyz(rigid(grasp.pose) * rigid(turn))
     return Grasp(pose, grasp.theta, grasp.opening, grasp.quality, grasp.clearance)
 
 
@@ -105,7 +105,7 @@ class Surroundings:
             self.robot,
             self.obstacles,
             held=self.target.pieces,
-            held_pose=np.asarray(jaxlie.SE3(grasp.pose).inverse().wxyz_xyz),
+            held_pose=wxyz_xyz(rigid(grasp.pose).inv()),
             margin_world=options.margin_world,
             margin_held=options.margin_held,
         )
@@ -260,7 +260,7 @@ def _nearest_first(
 
 
 def _turned(pose: Pose, vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    return np.asarray(jaxlie.SO3(pose[:4]) @ vector)
+    return rigid(pose).rotation.apply(vector)
 
 
 def _no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:

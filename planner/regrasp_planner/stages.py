@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from regrasp_planner.grasp_gen import Grasp
-from regrasp_planner.scene import Pose
+from regrasp_planner.pose import Pose
 from regrasp_planner.trajectory import Trajectory
 
 

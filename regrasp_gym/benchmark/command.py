@@ -1,0 +1,24 @@
+"""``regrasp-bench``: measure the planner and the expert; each name is one table."""
+
+from __future__ import annotations
+
+import sys
+
+import tyro
+from rich.console import Console
+
+from regrasp_gym.benchmark.episodes import episodes
+from regrasp_gym.benchmark.modules import modules
+from regrasp_gym.errors import EnvError
+
+
+def main() -> None:
+    """Entry point."""
+    tables = {"episodes": episodes, "modules": modules}
+    try:
+        tyro.extras.subcommand_cli_from_dict(tables, description=__doc__)
+    except (EnvError, ValueError, OSError) as error:
+        Console(stderr=True).print(f"regrasp-bench: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,177 @@
+"""How many scenes the expert plans, how many of those plans hold in the simulation, and why the others do not."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import platform
+import time
+from collections import Counter
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import regrasp_gym
+
+Record = dict[str, Any]
+
+_WORKER: dict[str, Any] = {}
+
+
+def episodes(
+    env: str = "regrasp_gym/PandaYCB-v0",
+    strategy: str = "static",
+    first_seed: int = 0,
+    count: int = 100,
+    control_mode: str = "joint_pos",
+    workers: int = 1,
+    records: Path = Path("outputs/bench/episodes.jsonl"),
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+) -> None:
+    """Plan and execute one episode per seed; print planned and executed counts, and the failures by cause.
+
+    Interrupted runs go on where they stopped: seeds that ``records`` holds already are not run again.
+
+    Args:
+        env: id of the environment.
+        strategy: how far the planner may go.
+        first_seed: first scene.
+        count: number of scenes.
+        control_mode: action space the expert acts through.
+        workers: processes.
+        records: one JSON line per episode, appended as they end.
+        json_file: write the summary as JSON.
+    """
+    setting = {"env": env, "strategy": strategy, "control_mode": control_mode}
+    done = {record["seed"]: record for record in _read(records) if all(record.get(k) == v for k, v in setting.items())}
+    wanted = range(first_seed, first_seed + count)
+    missing = [seed for seed in wanted if seed not in done]
+    records.parent.mkdir(parents=True, exist_ok=True)
+    with records.open("a") as file:
+        for record in track(_run(setting, missing, workers), total=len(missing), description="episodes"):
+            done[record["seed"]] = record
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+    summary = summarise(setting, [done[seed] for seed in wanted])
+    _show(summary)
+    if json_file:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(summary, indent=2) + "\n")
+
+
+def run_episode(env: gymnasium.Env, expert: Any, seed: int) -> Record:
+    """Plan and execute one episode: what happened, as one JSON-able record."""
+    env.reset(seed=seed)
+    began = time.perf_counter()
+    planned = expert.reset()
+    record: Record = {
+        "seed": seed,
+        "target": expert.env.scene.target.name,
+        "planned": planned,
+        "stages": [str(stage.kind) for stage in expert.plan.stages],
+        "planning_seconds": time.perf_counter() - began,
+        "seconds": expert.plan.stats.seconds,
+        "eval_grasp_calls": expert.plan.stats.eval_grasp_calls,
+    }
+    steps = 0
+    while (action := expert.act()) is not None:
+        _, _, _, truncated, _ = env.step(action)
+        steps += 1
+        if truncated:
+            break
+    success = bool(expert.env.is_success)
+    failure = expert.failure
+    record |= {"success": success, "steps": steps, "plans": len(expert.plans), "cause": "", "detail": ""}
+    if not success:
+        record["cause"] = str(failure.reason) if failure else "time limit"
+        record["detail"] = str(failure or "")
+    return record
+
+
+def summarise(setting: Record, episodes: list[Record]) -> Record:
+    """Counts, failures by cause, and times, of episodes in the order of their seeds."""
+    planned = [record for record in episodes if record["planned"]]
+    succeeded = [record for record in planned if record["success"]]
+    # The first episodes of a process compile; the median does not see them.
+    seconds = [record["planning_seconds"] for record in planned] or [float("nan")]
+    return {
+        **setting,
+        "seeds": [episodes[0]["seed"], episodes[-1]["seed"]] if episodes else [],
+        "episodes": len(episodes),
+        "planned": len(planned),
+        "planned_with_regrasp": sum(len(record["stages"]) > 1 for record in planned),
+        "executed": len(succeeded),
+        "executed_share": len(succeeded) / len(planned) if planned else 0.0,
+        "planning_failures": dict(Counter(r["cause"] for r in episodes if not r["planned"]).most_common()),
+        "execution_failures": dict(Counter(r["cause"] for r in planned if not r["success"]).most_common()),
+        "failed_in_execution": [record["seed"] for record in planned if not record["success"]],
+        "planning_seconds_median": float(np.median(seconds)),
+        "planning_seconds_p90": float(np.quantile(seconds, 0.9)),
+        "eval_grasp_calls_mean": float(np.mean([record["eval_grasp_calls"] for record in episodes] or [0])),
+        "versions": {name: version(name) for name in ("regrasp-gym", "mujoco", "jax", "numpy", "scipy")},
+        "machine": platform.machine(),
+    }
+
+
+def _run(setting: Record, seeds: list[int], workers: int) -> Iterator[Record]:
+    if workers <= 1:
+        _prepare(setting)
+        yield from map(_episode, seeds)
+        return
+    # Spawned, not forked: JAX runs threads.
+    with multiprocessing.get_context("spawn").Pool(workers, _prepare, (setting,)) as pool:
+        yield from pool.imap_unordered(_episode, seeds)
+
+
+def _prepare(setting: Record) -> None:
+    env = gymnasium.make(setting["env"], control_mode=setting["control_mode"])
+    _WORKER.update(setting=setting, env=env, expert=regrasp_gym.PlannerExpert(env, setting["strategy"]))
+
+
+def _episode(seed: int) -> Record:
+    return {**_WORKER["setting"], **run_episode(_WORKER["env"], _WORKER["expert"], seed)}
+
+
+def _read(path: Path) -> list[Record]:
+    if not path.exists():
+        return []
+    lines = path.read_text().splitlines()
+    # A run that was killed may have left half a line at the end.
+    whole = [line for line in lines if line.endswith("}")]
+    return [json.loads(line) for line in whole]
+
+
+def _show(summary: Record) -> None:
+    console = Console()
+    table = Table("", "count", "share", title=f"{summary['env']}, {summary['strategy']}, seeds {summary['seeds']}")
+    total, planned = summary["episodes"], summary["planned"]
+    table.add_row("episodes", str(total), "")
+    table.add_row("planned", str(planned), _share(planned, total))
+    table.add_row("  of these with a regrasp", str(summary["planned_with_regrasp"]), "")
+    table.add_row(
+        "plans that succeed in the simulation", str(summary["executed"]), _share(summary["executed"], planned)
+    )
+    for kind in ("planning", "execution"):
+        for cause, number in summary[f"{kind}_failures"].items():
+            table.add_row(f"{kind} failed: {cause}", str(number), _share(number, total))
+    console.print(table)
+    median, p90 = summary["planning_seconds_median"], summary["planning_seconds_p90"]
+    console.print(
+        f"planning: median {median:.2f} s, 90 % within {p90:.2f} s; "
+        f"{summary['eval_grasp_calls_mean']:.0f} evaluated grasps on average",
+        highlight=False,
+    )
+    if summary["failed_in_execution"]:
+        console.print(f"seeds that failed in execution: {summary['failed_in_execution']}", highlight=False)
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part / whole:.0%}" if whole else "–"
