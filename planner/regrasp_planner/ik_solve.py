@@ -295,6 +295,7 @@ def _descend(
             start,
             Euclidean(arm.dof),
             params=(*params, start),
+            counts=(6, pairs.shape[1] + 2 * arm.dof),
             max_evaluations=60,
             max_inner=8,
             constraint_tolerance=1e-3,
@@ -356,7 +357,7 @@ def _result(arm: Arm, search: _Search, max_solutions: int) -> IkResult:
         return IkResult((), kind, message, q)
     error, q = search.closest
     free = replace(arm, lower=jnp.full(arm.dof, -2 * np.pi), upper=jnp.full(arm.dof, 2 * np.pi))
-    starts = _starts(arm, [search], np.asarray(arm.lower)[None] * 0, np.random.default_rng(0))
+    starts = _starts(arm, [search], np.zeros((0, arm.dof)), np.random.default_rng(0))
     lanes = _reached(free, [search], starts, FULL_ITERATIONS)[0]
     best = int(np.argmin(lanes.position_error + 0.25 * lanes.rotation_error))
     if lanes.position_error[best] < POSITION_TOLERANCE and lanes.rotation_error[best] < ROTATION_TOLERANCE:

@@ -1,5 +1,7 @@
 """A Panda-like robot built from published figures, so that the planner's tests need no simulator."""
 
+from types import SimpleNamespace
+
 import jaxlie
 import numpy as np
 import pytest
@@ -107,7 +109,7 @@ def shelf_scene(seed=0, clutter=5):
     for i in range(clutter):
         at = (*rng.uniform([0.3, -0.45], [0.6, 0.45]), 0.06)
         if i % 2:
-            size = tuple(rng.uniform(0.04, 0.1, 2)) + (0.12,)
+            size = (*rng.uniform(0.04, 0.1, 2), 0.12)
             obstacles.append(box_obstacle(f"box{i}", size, at, (0, 0, rng.uniform(0, np.pi))))
         else:
             radius = rng.uniform(0.025, 0.04)
@@ -120,3 +122,9 @@ def shelf_scene(seed=0, clutter=5):
 @pytest.fixture(scope="session")
 def panda():
     return panda_robot()
+
+
+@pytest.fixture(scope="session")
+def build():
+    """The functions that make poses, obstacles and scenes."""
+    return SimpleNamespace(pose=pose, box_obstacle=box_obstacle, shelf_scene=shelf_scene)

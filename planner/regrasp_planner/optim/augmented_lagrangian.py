@@ -98,6 +98,7 @@ def augmented_lagrangian(
     manifold: Manifold,
     *,
     params: Any = (),
+    counts: tuple[int, int] | None = None,
     max_evaluations: int = 150,
     max_inner: int = 20,
     constraint_tolerance: float = 1e-6,
@@ -124,6 +125,7 @@ def augmented_lagrangian(
         start: first point.
         manifold: where the points live, dimension d.
         params: arrays handed to the problem, so that it needs no closure over changing data.
+        counts: numbers (E, I) of constraints; without them the problem is traced once more to find out.
         max_evaluations: cap on evaluations of the problem.
         max_inner: evaluations after which the multipliers are updated, converged or not.
         constraint_tolerance: largest violation of a feasible point, in the problem's units.
@@ -142,8 +144,10 @@ def augmented_lagrangian(
     """
     dim = manifold.dim
     start = jax.tree.map(jnp.asarray, start)
-    _, eq_shape, ineq_shape = jax.eval_shape(problem, start, params)
-    n_eq, n_ineq = eq_shape.shape[0], ineq_shape.shape[0]
+    if counts is None:
+        _, eq_shape, ineq_shape = jax.eval_shape(problem, start, params)
+        counts = eq_shape.shape[0], ineq_shape.shape[0]
+    n_eq, n_ineq = counts
     count = n_eq + n_ineq
     is_eq = jnp.arange(count) < n_eq
 
