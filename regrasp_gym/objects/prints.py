@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 Picture = UInt8[np.ndarray, "H W 3"]
 Rgb = tuple[int, int, int]
@@ -57,7 +57,8 @@ def panel(
         )
     if lines is not None:
         top, bottom, colour = lines
-        for k, y in enumerate(np.arange(top, bottom, 0.045)):
+        for k in range(int((bottom - top) / 0.045)):
+            y = top + 0.045 * k
             end = width * (0.88 if k % 3 else 0.66)
             draw.rectangle([0.12 * width, y * height, end, (y + 0.018) * height], fill=colour)
     rows = text.split()
@@ -123,7 +124,7 @@ def stitched(ground: Rgb, thread: Rgb, width: float, dashed: bool) -> Picture:
             2 * np.sqrt(a * b) * np.sin(2 * t),
         ]
     )
-    chord, nearest = cKDTree(seam).query(_directions())
+    chord, nearest = KDTree(seam).query(_directions())
     on_seam = chord < 2 * np.sin(width / 2)
     if dashed:
         on_seam &= nearest % 3 != 0
@@ -136,7 +137,7 @@ def dotted(ground: Rgb, dot: Rgb, count: int, width: float) -> Picture:
     k = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k
     middle = np.column_stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)])
-    near = cKDTree(middle).query(_directions())[0] < 2 * np.sin(width / 2)
+    near = KDTree(middle).query(_directions())[0] < 2 * np.sin(width / 2)
     skin = np.where(near[:, None], np.array(dot), np.array(ground))
     return skin.reshape(TILE, 2 * TILE, 3).astype(np.uint8)
 
