@@ -45,7 +45,10 @@ class CommandLimits:
 class Control(Protocol):
     """A meaning of actions."""
 
-    action_space: spaces.Box
+    @property
+    def action_space(self) -> spaces.Box:
+        """Where actions are."""
+        ...
 
     def command(self, action: Float[np.ndarray, " m"], last: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, " n+1"]:
         """The command that an action asks for, given the last one."""

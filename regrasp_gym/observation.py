@@ -1,7 +1,7 @@
 """What the agent sees of a world: vectors of fixed size, whatever the number of objects.
 
-Vectors are float64 in metres, radians and seconds; poses are wxyz_xyz, `canonical`. Each layout is written down once, here, as a table of (name, size); the environments' docstrings repeat it
-for their robot, and a test compares the two.
+Vectors are float64 in metres, radians and seconds; poses are wxyz_xyz, `canonical`. Each layout is written down once,
+here, as a table of (name, size); the environments' docstrings repeat it for their robot, and a test compares the two.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def achieved_goal(world: World, tolerance: Tolerance) -> Float[np.ndarray, " 10"
     touched, supported = world.target_contacts()
     slow = np.linalg.norm(velocity[:3]) <= tolerance.speed and np.linalg.norm(velocity[3:]) <= tolerance.turn_rate
     reach = np.linalg.norm(world.gripper_pose[4:] - pose[4:])
-    return np.concatenate([pose, [not (slow and supported), touched, reach]])
+    return np.concatenate([pose, np.array([not (slow and supported), touched, reach], float)])
 
 
 def desired_goal(world: World) -> Float[np.ndarray, " 10"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -43,7 +44,7 @@ class EnvState:
     physics: Float[np.ndarray, " s"]
     command: Float[np.ndarray, " n+1"]
     elapsed: int
-    random: dict[str, Any]
+    random: Mapping[str, Any]
 
 
 class RegraspEnv(gymnasium.Env):
@@ -142,7 +143,7 @@ class RegraspEnv(gymnasium.Env):
         """
         world = self.world
         last = self._command
-        self._command = self._control.command(control.check_action(action, self.action_space), last)
+        self._command = self._control.command(control.check_action(action, self._control.action_space), last)
         world.run(last, self._command, round(self.scenario.control_period / world.model.opt.timestep))
         self._elapsed += 1
         self._show()
@@ -254,7 +255,7 @@ class RegraspEnv(gymnasium.Env):
         Raises:
             StateError: not a saved state, or one of another scenario.
         """
-        if not isinstance(state, EnvState):
+        if not isinstance(state, EnvState):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise StateError(f"{type(state).__name__} is no saved state; give what get_state() returned")
         if state.command.shape != self._command.shape:
             raise StateError(f"the state is of another robot: it has {len(state.command)} commands")
@@ -284,7 +285,7 @@ class RegraspEnv(gymnasium.Env):
             return self.scenario.make_scene(drawn, self.scene_config)
         if isinstance(wanted, (int, np.integer)) and not isinstance(wanted, bool):
             return self.scenario.make_scene(int(wanted), self.scene_config)
-        if all(hasattr(wanted, name) for name in ("target", "goal_pose", "others", "fixtures", "release")):
+        if isinstance(wanted, Scene):
             if len(wanted.others) > self.scenario.max_others:
                 raise OptionError(
                     f"the scene has {len(wanted.others)} objects besides the target; observations have room for "

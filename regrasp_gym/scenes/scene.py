@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -64,6 +64,7 @@ class ReleasePatch:
     half_extents: Float[np.ndarray, " 2"]
 
 
+@runtime_checkable
 class Scene(Protocol):
     """What an environment needs to know of a scene, whatever the scenario."""
 
