@@ -68,7 +68,7 @@ class _State(NamedTuple):
     q: Float[Array, "L n"]
     error: Float[Array, "L 6"]
     done: Bool[Array, " L"]
-    count: Int[Array, ""]
+    iterations: Int[Array, ""]
 
 
 @jax.jit
@@ -119,11 +119,11 @@ def reach(
         moved, error = jax.vmap(step)(state.q, goals)
         near = jnp.linalg.norm(error[:, :3], axis=1) < CONVERGED_POSITION
         done = near & (jnp.linalg.norm(error[:, 3:], axis=1) < CONVERGED_ROTATION)
-        return _State(jnp.where(done[:, None], state.q, moved), error, done, state.count + 1)
+        return _State(jnp.where(done[:, None], state.q, moved), error, done, state.iterations + 1)
 
     def unfinished(state: _State) -> Bool[Array, ""]:
         solved = state.done.reshape(n_targets, n_starts).sum(1)
-        return (state.count < max_iterations) & jnp.any(solved < jnp.minimum(enough, n_starts))
+        return (state.iterations < max_iterations) & jnp.any(solved < jnp.minimum(enough, n_starts))
 
     q = jnp.clip(starts.reshape(-1, dof), arm.lower, arm.upper)
     lanes = q.shape[0]

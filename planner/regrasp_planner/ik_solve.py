@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from regrasp_planner.arm_kinematics import Reached, pose_error, reach
+from regrasp_planner.arm_kinematics import ROTATION_LENGTH, pose_error, reach
 from regrasp_planner.collision import (
     CollisionArrays,
     CollisionModel,
@@ -195,16 +196,32 @@ def _starts(
     return starts
 
 
+class _Lanes(NamedTuple):
+    """`Reached` on the host."""
+
+    q: Float[np.ndarray, "L n"]
+    position_error: Float[np.ndarray, " L"]
+    rotation_error: Float[np.ndarray, " L"]
+
+    def miss(self) -> Float[np.ndarray, " L"]:
+        """Pose error in metres, a radian counting as `ROTATION_LENGTH`."""
+        return self.position_error + ROTATION_LENGTH * self.rotation_error
+
+    def solved(self) -> Bool[np.ndarray, " L"]:
+        """Which lanes are within the tolerances."""
+        return (self.position_error < POSITION_TOLERANCE) & (self.rotation_error < ROTATION_TOLERANCE)
+
+
 def _reached(
     arm: Arm, group: list[_Search], starts: Float[np.ndarray, "slots starts n"], iterations: int
-) -> list[Reached]:
+) -> list[_Lanes]:
     """`reach` for each search; searches share the slots in turn."""
     owner = np.arange(SLOTS) % len(group)
     targets = np.stack([group[i].target for i in owner])
     lanes = reach(arm, jnp.asarray(targets), jnp.asarray(starts), jnp.asarray(ENOUGH), jnp.asarray(iterations))
-    host = Reached(*(np.asarray(leaf) for leaf in lanes))
+    host = [np.asarray(leaf) for leaf in lanes]
     which = np.repeat(owner, STARTS)
-    return [Reached(*(leaf[which == i] for leaf in host)) for i in range(len(group))]
+    return [_Lanes(*(leaf[which == i] for leaf in host)) for i in range(len(group))]
 
 
 def _limit_nearness(arm: Arm, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, " N"]:
@@ -228,44 +245,43 @@ def _distinct(q: Float[np.ndarray, "N n"]) -> list[int]:
     return kept
 
 
-def _screen(group: list[_Search], reached: list[Reached], max_solutions: int) -> None:
+def _candidates(arm: Arm, search: _Search, lanes: _Lanes) -> list[IkSolution]:
+    """Distinct configurations at the target, best ranked first, their clearance not yet known."""
+    order = np.flatnonzero(lanes.solved())
+    order = order[np.argsort(_cost(arm, search, lanes.q[order]), kind="stable")]
+    order = order[_distinct(lanes.q[order])]
+    return [
+        IkSolution(lanes.q[i], float(lanes.position_error[i]), float(lanes.rotation_error[i]), np.nan) for i in order
+    ]
+
+
+def _screen(group: list[_Search], reached: list[_Lanes], max_solutions: int) -> None:
     """Sort what converged into free and colliding, best ranked first, until there are enough free ones."""
     arm = group[0].model.arrays.robot.arm
-    waiting: list[tuple[_Search, Float[np.ndarray, "N n"], Reached]] = []
     for search, lanes in zip(group, reached, strict=True):
-        error = np.asarray(lanes.position_error) + 0.25 * np.asarray(lanes.rotation_error)
-        best = int(error.argmin())
-        if error[best] < search.closest[0]:
-            search.closest = (float(error[best]), np.asarray(lanes.q)[best])
-        good = (lanes.position_error < POSITION_TOLERANCE) & (lanes.rotation_error < ROTATION_TOLERANCE)
-        order = np.flatnonzero(good)
-        order = order[np.argsort(_cost(arm, search, np.asarray(lanes.q)[order]), kind="stable")]
-        order = order[_distinct(np.asarray(lanes.q)[order])]
-        ranked = Reached(*(np.asarray(leaf)[order] for leaf in lanes))
-        waiting.append((search, np.asarray(ranked.q), ranked))
-
+        miss = lanes.miss()
+        best = int(miss.argmin())
+        if miss[best] < search.closest[0]:
+            search.closest = (float(miss[best]), lanes.q[best])
+    waiting = [(search, _candidates(arm, search, lanes)) for search, lanes in zip(group, reached, strict=True)]
     batch = max(max_solutions, -(-64 // len(group)))
     for begin in range(0, SLOTS * STARTS, batch):
         now = [
-            (search, i, ranked)
-            for search, q, ranked in waiting
+            (search, candidate)
+            for search, candidates in waiting
             if len(search.found) < max_solutions
-            for i in range(begin, min(begin + batch, len(q)))
+            for candidate in candidates[begin : begin + batch]
         ]
-        if not now:
-            break
-        for model in {id(search.model): search.model for search, _, _ in now}.values():
-            part = [(search, i, ranked) for search, i, ranked in now if search.model is model]
-            q = np.stack([np.asarray(ranked.q)[i] for _, i, ranked in part])
-            openings = np.array([search.theta for search, _, _ in part])
+        for model in {id(search.model): search.model for search, _ in now}.values():
+            part = [(search, candidate) for search, candidate in now if search.model is model]
+            q = np.stack([candidate.q for _, candidate in part])
+            openings = np.array([search.theta for search, _ in part])
             clearance = configuration_clearance(model, q, openings, cap=GOOD_CLEARANCE)
-            for (search, i, ranked), value, pair in zip(part, clearance.value, clearance.pair, strict=True):
-                configuration = np.asarray(ranked.q)[i]
+            for (search, candidate), value, pair in zip(part, clearance.value, clearance.pair, strict=True):
                 if value >= 0:
-                    errors = float(ranked.position_error[i]), float(ranked.rotation_error[i])
-                    search.found.append(IkSolution(configuration, *errors, float(value)))
+                    search.found.append(replace(candidate, clearance=float(value)))
                 else:
-                    search.colliding.append((float(value), int(pair), configuration))
+                    search.colliding.append((float(value), int(pair), candidate.q))
 
 
 @jax.jit
@@ -359,10 +375,10 @@ def _result(arm: Arm, search: _Search, max_solutions: int) -> IkResult:
     free = replace(arm, lower=jnp.full(arm.dof, -2 * np.pi), upper=jnp.full(arm.dof, 2 * np.pi))
     starts = _starts(arm, [search], np.zeros((0, arm.dof)), np.random.default_rng(0))
     lanes = _reached(free, [search], starts, FULL_ITERATIONS)[0]
-    best = int(np.argmin(lanes.position_error + 0.25 * lanes.rotation_error))
-    if lanes.position_error[best] < POSITION_TOLERANCE and lanes.rotation_error[best] < ROTATION_TOLERANCE:
+    best = int(lanes.miss().argmin())
+    if lanes.solved()[best]:
         low, high = np.asarray(arm.lower), np.asarray(arm.upper)
-        angles = np.asarray(lanes.q)[best]
+        angles = lanes.q[best]
         beyond = np.maximum(low - angles, angles - high)
         joint = int(beyond.argmax())
         message = f"joint limits: {arm.joint_names[joint]!r} would have to turn to {angles[joint]:.3f} rad"
