@@ -100,7 +100,7 @@ class RegraspEnv(gymnasium.Env):
         )
         self._base = base_spec(scenario, buffer_height=int(drawn[0]), buffer_width=int(drawn[1]))
         self._renderer = rendering.SceneRenderer(height=int(drawn[0]), width=int(drawn[1]))
-        self._window = rendering.Window() if render_mode == "human" else None
+        self._window = rendering.Window(scenario.control_period) if render_mode == "human" else None
         self._control = self._make_control()
         self._reward = reward.REWARDS[reward_type]
         self._world: World | None = None

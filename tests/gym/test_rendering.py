@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -201,6 +202,25 @@ def test_a_window_without_a_display_is_refused(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(DisplayError, match="render_mode='rgb_array'"):
         gym.make("regrasp_gym/PandaYCB-v0", render_mode="human")
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="needs a virtual display")
+def test_a_window_shows_episodes_in_real_time_and_closes():
+    server = subprocess.Popen(["Xvfb", "-displayfd", "1"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    code = (
+        "import time, gymnasium, regrasp_gym;"
+        "e = gymnasium.make('regrasp_gym/PandaYCB-v0', render_mode='human'); e.reset(seed=0); e.reset(seed=1);"
+        "start = time.monotonic(); [e.step(e.unwrapped.command) for _ in range(10)];"
+        "print(time.monotonic() - start); e.close()"
+    )
+    try:
+        assert server.stdout is not None
+        done = run_python(code, DISPLAY=f":{server.stdout.readline().strip()}")
+    finally:
+        server.terminate()
+        server.wait()
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) > 0.4
 
 
 def run_python(code, **environment):
