@@ -115,8 +115,10 @@ class World:
         mine = bodies == self._target_body
         others = np.where(mine[:, 0], bodies[:, 1], bodies[:, 0])[mine.any(axis=1)]
         robot = self._is_robot[others]
+        if len(robot):
+            return bool(robot.any()), bool((~robot).any())
         # What was put down exactly makes contact only once it has sunk in by a hair.
-        return bool(robot.any()), bool((~robot).any()) or self._target_is_put_down()
+        return False, self._target_is_put_down()
 
     def _target_is_put_down(self) -> bool:
         fromto = np.empty(6)
