@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,16 @@ from regrasp_planner.pose import Pose
 from regrasp_planner.robot import Robot, check_configuration
 from regrasp_planner.scene import Body, Scene, Task
 from regrasp_planner.stab_pose import StablePoses, stable_poses
-from regrasp_planner.stage_motion import Clock, Ends, MotionOptions, StageMotion, Surroundings, flipped, solve_ends
+from regrasp_planner.stage_motion import (
+    Clock,
+    Ends,
+    MotionOptions,
+    Reaches,
+    StageMotion,
+    Surroundings,
+    flipped,
+    solve_ends,
+)
 from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Stage, StageKind, Strategy
 
 
@@ -29,7 +38,8 @@ class PlanOptions:
         motion: options of IkSolve and PathPlan.
         max_stable_poses: stable poses tried for the regrasp, most stable first.
         yaws: turns about the vertical at which the target may be put down.
-        motion_attempts: grasps whose motion is planned before giving up on a pair of scenes.
+        motion_attempts: grasps, or places to put down, whose motion is planned before giving up on a pair of scenes.
+        grasps_kept: grasps that can be reached which are kept for either end of a stage.
     """
 
     grasp: GraspGenOptions = field(default_factory=GraspGenOptions)
@@ -37,6 +47,7 @@ class PlanOptions:
     max_stable_poses: int = 8
     yaws: int = 8
     motion_attempts: int = 4
+    grasps_kept: int = 4
 
 
 def plan(
@@ -78,10 +89,10 @@ def plan(
 
 @dataclass(frozen=True)
 class _Held:
-    """A grasp and the configurations that reach it in a scene."""
+    """A grasp, and the ways to it and on from it with the target at one pose."""
 
     grasp: Grasp
-    ends: Ends
+    reaches: Reaches
 
 
 class _Planner:
@@ -130,21 +141,30 @@ class _Planner:
         for grasps in self._sources(kind, (start, end), known_grasps):
             if isinstance(grasps, Failure):
                 return failure or grasps
-            picks = self.reachable(grasps, start.target_pose)
-            places = self.ends([held.grasp for held in picks], release) if picks else []
-            both = [(held, ends) for held, ends in zip(picks, places, strict=True) if ends.configurations]
-            if not both:
-                failure = self.unreachable(kind)
-                continue
-            for held, ends in both[: self.options.motion_attempts]:
-                stage = self.motion.build(
-                    kind, held.grasp, start.target_pose, release, held.ends, ends, self.task.start
-                )
+            attempts = 0
+            for grasp, picks, places in self._reachable_at_both(grasps, start.target_pose, release):
+                takes = self.motion.takes(kind, grasp, start.target_pose, picks)
+                puts = self.motion.puts(kind, grasp, release, places) if takes.ways else takes
+                stage = self.motion.join(kind, grasp, start.target_pose, release, takes, puts, self.task.start)
                 if isinstance(stage, Stage):
                     return (stage,)
-                failure = stage
+                failure = _furthest(failure or stage, stage)
+                attempts += bool(takes.ways and puts.ways)
+                if attempts == self.options.motion_attempts:
+                    break
+            failure = failure or self.unreachable(kind)
         assert failure is not None
         return failure
+
+    def _reachable_at_both(
+        self, grasps: Sequence[Grasp], start: Pose, release: Pose
+    ) -> Iterator[tuple[Grasp, Ends, Ends]]:
+        picks = self.ends(grasps, start)
+        kept = [(grasp, pick) for grasp, pick in zip(grasps, picks, strict=True) if pick.configurations]
+        places = self.ends([grasp for grasp, _ in kept], release) if kept else []
+        for (grasp, pick), place in zip(kept, places, strict=True):
+            if place.configurations:
+                yield grasp, pick, place
 
     def _sources(
         self, kind: StageKind, scenes: Sequence[Scene], known_grasps: Sequence[Grasp]
@@ -171,24 +191,48 @@ class _Planner:
         message = f"no grasp of {name!r} keeps clear of the obstacles of {names} together"
         return Failure(Reason.NO_COMMON_GRASP, kind, f"world collision or {result.reason}", message)
 
-    # --- configurations -----------------------------------------------------------------------------------------------
+    # --- both ends of a stage -----------------------------------------------------------------------------------------
 
     def ends(self, grasps: Sequence[Grasp], target_pose: Pose) -> list[Ends]:
         """Configurations for each grasp of the target standing at one pose."""
-        return self.clock.time(
-            "ik_solve",
-            lambda: solve_ends(self.surroundings, grasps, target_pose, np.asarray(self.robot.home), self.seed),
-        )
-
-    def reachable(self, grasps: Sequence[Grasp], target_pose: Pose) -> list[_Held]:
-        """Those of the grasps that the arm reaches with the target at this pose."""
-        ends = self.ends(grasps, target_pose)
-        return [_Held(grasp, end) for grasp, end in zip(grasps, ends, strict=True) if end.configurations]
+        home = np.asarray(self.robot.home)
+        return self.clock.time("ik_solve", lambda: solve_ends(self.surroundings, grasps, target_pose, home, self.seed))
 
     def unreachable(self, kind: StageKind) -> Failure:
+        """No configuration at all."""
         name = self.task.target.name
-        message = f"no collision-free configuration reaches a grasp of {name!r} at both ends of the stage"
+        message = f"no collision-free configuration of the arm reaches the grasps of {name!r} where they are needed"
         return Failure(Reason.UNREACHABLE, kind, "inverse kinematics", message)
+
+    def takes(self, kind: StageKind, grasps: Sequence[Grasp], pose: Pose) -> tuple[list[_Held], Failure]:
+        """Those of the grasps by which the target standing at ``pose`` can be taken up, and why the last can not."""
+        return self._either_end(kind, grasps, pose, self.motion.takes)
+
+    def puts(self, kind: StageKind, grasps: Sequence[Grasp], pose: Pose) -> tuple[list[_Held], Failure]:
+        """Those of the grasps by which the target can be put down at ``pose``, and why the last can not."""
+        return self._either_end(kind, grasps, pose, self.motion.puts)
+
+    def _either_end(
+        self,
+        kind: StageKind,
+        grasps: Sequence[Grasp],
+        pose: Pose,
+        find: Callable[[StageKind, Grasp, Pose, Ends], Reaches],
+    ) -> tuple[list[_Held], Failure]:
+        ends = self.ends(grasps, pose)
+        failure = self.unreachable(kind)
+        found: list[_Held] = []
+        for grasp, end in zip(grasps, ends, strict=True):
+            if not end.configurations:
+                continue
+            reaches = find(kind, grasp, pose, end)
+            if reaches.failure is None:
+                found.append(_Held(grasp, reaches))
+                if len(found) == self.options.grasps_kept:
+                    break
+            else:
+                failure = reaches.failure
+        return found, failure
 
     # --- regrasp ------------------------------------------------------------------------------------------------------
 
@@ -213,17 +257,17 @@ class _Planner:
             if isinstance(second, Failure):
                 failure = _furthest(failure, second)
                 continue
-            placing = self.reachable(second, goal)
+            placing, lacking = self.puts(StageKind.REGRASP_TO_PLACE, second, goal)
             if not placing:
-                failure = _furthest(failure, self.unreachable(StageKind.REGRASP_TO_PLACE))
+                failure = _furthest(failure, lacking)
                 continue
             first = self.grasps(StageKind.PICK_TO_RELEASE, (task.pick, scene))
             if isinstance(first, Failure):
                 failure = _furthest(failure, first)
                 continue
-            picking = self.reachable(first, task.pick.target_pose)
+            picking, lacking = self.takes(StageKind.PICK_TO_RELEASE, first, task.pick.target_pose)
             if not picking:
-                failure = _furthest(failure, self.unreachable(StageKind.PICK_TO_RELEASE))
+                failure = _furthest(failure, lacking)
                 continue
             outcome = self.over_release(settled, picking, placing, goal)
             if not isinstance(outcome, Failure):
@@ -236,45 +280,53 @@ class _Planner:
     ) -> tuple[Stage, ...] | Failure:
         """Both stages, with the target put down at the first of the ``settled`` poses where all of it works."""
         task, attempts = self.task, self.options.motion_attempts
-        picking, placing = picking[:attempts], placing[:attempts]
-        failure = self.unreachable(StageKind.PICK_TO_RELEASE)
+        taking = {id(held.grasp): held.reaches for held in picking}
+        putting = {id(held.grasp): held.reaches for held in placing}
+        failure: Failure | None = None
         tried = 0
         for pose in settled:
-            if tried >= attempts:
-                break
+            retakes, lacking = self.takes(StageKind.REGRASP_TO_PLACE, [held.grasp for held in placing], pose)
             released = _raised(pose, self.options.motion.drop)
-            retaking = self.ends([held.grasp for held in placing], pose)
-            if not any(ends.configurations for ends in retaking):
+            lays: list[_Held] = []
+            if retakes:
+                lays, lacking = self.puts(StageKind.PICK_TO_RELEASE, [held.grasp for held in picking], released)
+            if not lays:
+                failure = _furthest(failure or lacking, lacking)
                 continue
-            releasing = self.ends([held.grasp for held in picking], released)
-            takes = [(held, ends) for held, ends in zip(placing, retaking, strict=True) if ends.configurations]
-            puts = [(held, ends) for held, ends in zip(picking, releasing, strict=True) if ends.configurations]
-            if not takes or not puts:
-                continue
-            tried += 1
-            first: Stage | Failure = failure
-            for held, ends in puts:
-                first = self.motion.build(
+            first: Stage | Failure = lacking
+            for held in lays:
+                pick = task.pick.target_pose
+                first = self.motion.join(
                     StageKind.PICK_TO_RELEASE,
                     held.grasp,
-                    task.pick.target_pose,
+                    pick,
                     released,
-                    held.ends,
-                    ends,
+                    taking[id(held.grasp)],
+                    held.reaches,
                     task.start,
                 )
                 if isinstance(first, Stage):
                     break
             if isinstance(first, Failure):
-                failure = _furthest(failure, first)
-                continue
-            for held, ends in takes:
-                second = self.motion.build(
-                    StageKind.REGRASP_TO_PLACE, held.grasp, pose, goal, ends, held.ends, _end_of(first)
-                )
-                if isinstance(second, Stage):
-                    return (first, second)
-                failure = _furthest(failure, second)
+                failure = _furthest(failure or first, first)
+            else:
+                for held in retakes:
+                    second = self.motion.join(
+                        StageKind.REGRASP_TO_PLACE,
+                        held.grasp,
+                        pose,
+                        goal,
+                        held.reaches,
+                        putting[id(held.grasp)],
+                        _end_of(first),
+                    )
+                    if isinstance(second, Stage):
+                        return (first, second)
+                    failure = _furthest(failure or second, second)
+            tried += 1
+            if tried == attempts:
+                break
+        assert failure is not None
         return failure
 
     def release_poses(self, rotation: Float[np.ndarray, "3 3"]) -> list[Pose]:

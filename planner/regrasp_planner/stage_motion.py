@@ -7,7 +7,7 @@ out first, from the configurations at the grasp outwards, since they fail soones
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -40,6 +40,7 @@ class MotionOptions:
         margin_held: clearance of the held target from obstacles on the way.
         drop: height above the support at which the target is let go, so that the arm does not press it down.
         solutions: configurations tried at each end of a stage.
+        joins: pairs of ways to either end between which paths are planned.
         path: options of the path planner.
     """
 
@@ -51,6 +52,7 @@ class MotionOptions:
     margin_held: float = 0.005
     drop: float = 0.002
     solutions: int = 3
+    joins: int = 3
     path: PathOptions = field(default_factory=PathOptions)
 
 
@@ -144,87 +146,141 @@ def solve_ends(
     return [Ends(tuple(solution.q for solution in result.solutions), result.message) for result in results]
 
 
+@dataclass(frozen=True)
+class Reach:
+    """A way to a grasp and on from it, by straight lines: what is possible at one end of a stage.
+
+    Attributes:
+        inward: the line to the grasp (approach, or lowering the held target).
+        outward: the line away from it (lift, or retreat).
+    """
+
+    inward: Trajectory
+    outward: Trajectory
+
+
+@dataclass(frozen=True)
+class Reaches:
+    """All ways at one end of a stage, best first; or why there is none."""
+
+    ways: tuple[Reach, ...]
+    failure: Failure | None
+
+
 class StageMotion:
-    """Finds the motion of stages one after another, remembering what failed last for the message."""
+    """Finds the motion of stages. What was found out about one end of a stage is kept for the next call."""
 
     def __init__(self, surroundings: Surroundings, clock: Clock, seed: int):
         self.surroundings, self.clock, self.seed = surroundings, clock, seed
         self.options = surroundings.options
+        self._axis = np.asarray(surroundings.robot.gripper.approach_axis)
+        self._holding: dict[bytes, CollisionModel] = {}
 
-    def build(
+    def takes(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
+        """Approach and lift, for the target standing at ``pose``."""
+        options = self.options
+        empty, holding = self.surroundings.empty_handed(pose), self._model(grasp)
+        back = self._withdrawals(grasp.gripper_pose(pose))
+        lifts = [np.array([0.0, 0.0, height]) for height in options.lift]
+        ways: list[Reach] = []
+        failure = Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration at the grasp")
+        for q in ends.configurations:
+            approach = self._line(empty, q, back, grasp.opening)
+            if not isinstance(approach, Trajectory):
+                failure = _no_path(kind, SegmentKind.APPROACH, approach)
+                continue
+            lift = self._line(holding, q, lifts, grasp.theta)
+            if not isinstance(lift, Trajectory):
+                failure = _no_path(kind, SegmentKind.LIFT, lift)
+                continue
+            ways.append(Reach(approach.reversed(), lift))
+        return Reaches(tuple(ways), None if ways else failure)
+
+    def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
+        """Lowering and retreat, for the target let go at ``pose``."""
+        options = self.options
+        empty, holding = self.surroundings.empty_handed(pose), self._model(grasp)
+        back = self._withdrawals(grasp.gripper_pose(pose))
+        raises = [np.array([0.0, 0.0, height]) for height in options.lower]
+        ways: list[Reach] = []
+        failure = Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration at the grasp")
+        for q in ends.configurations:
+            lower = self._line(holding, q, raises, grasp.theta)
+            if not isinstance(lower, Trajectory):
+                failure = _no_path(kind, SegmentKind.LOWER, lower)
+                continue
+            retreat = self._line(empty, q, back, grasp.opening)
+            if not isinstance(retreat, Trajectory):
+                failure = _no_path(kind, SegmentKind.RETREAT, retreat)
+                continue
+            ways.append(Reach(lower.reversed(), retreat))
+        return Reaches(tuple(ways), None if ways else failure)
+
+    def join(
         self,
         kind: StageKind,
         grasp: Grasp,
         start_pose: Pose,
         release_pose: Pose,
-        picks: Ends,
-        places: Ends,
+        takes: Reaches,
+        puts: Reaches,
         configuration: Float[np.ndarray, " n"],
     ) -> Stage | Failure:
-        """The stage, starting from ``configuration`` with an open gripper; or the constraint that failed last.
+        """The stage between two ends, starting from ``configuration`` with an open gripper; or why there is none.
 
         Args:
             kind: what the stage is for.
             grasp: the grasp held.
             start_pose, release_pose: (7,) pose of the target when taken and when let go.
-            picks, places: configurations at the grasp, for either pose.
+            takes, puts: the ways at either end.
             configuration: (n,) where the arm is before, radians.
         """
-        options, robot = self.options, self.surroundings.robot
-        before = self.surroundings.empty_handed(start_pose)
-        after = self.surroundings.empty_handed(release_pose)
-        holding = self.clock.time("path_plan", lambda: self.surroundings.holding(grasp))
-        approach_axis = np.asarray(robot.gripper.approach_axis)
-        into_pick = _turned(grasp.gripper_pose(start_pose), approach_axis)
-        into_place = _turned(grasp.gripper_pose(release_pose), approach_axis)
-        up = np.array([0.0, 0.0, 1.0])
-        last = Failure(Reason.UNREACHABLE, kind, picks.constraint or places.constraint, "no configuration at the grasp")
-
-        takes: list[tuple[Trajectory, Trajectory]] = []
-        for q in picks.configurations:
-            back = self._line(before, q, [-d * into_pick for d in options.approach], grasp.opening)
-            if not isinstance(back, Trajectory):
-                last = _no_path(kind, SegmentKind.APPROACH, back)
-                continue
-            lift = self._line(holding, q, [h * up for h in options.lift], grasp.theta)
-            if not isinstance(lift, Trajectory):
-                last = _no_path(kind, SegmentKind.LIFT, lift)
-                continue
-            takes.append((back.reversed(), lift))
-        puts: list[tuple[Trajectory, Trajectory]] = []
-        for q in places.configurations if takes else ():
-            raised = self._line(holding, q, [h * up for h in options.lower], grasp.theta)
-            if not isinstance(raised, Trajectory):
-                last = _no_path(kind, SegmentKind.LOWER, raised)
-                continue
-            retreat = self._line(after, q, [-d * into_place for d in options.approach], grasp.opening)
-            if not isinstance(retreat, Trajectory):
-                last = _no_path(kind, SegmentKind.RETREAT, retreat)
-                continue
-            puts.append((raised.reversed(), retreat))
-
-        for approach, lift, lower, retreat in _nearest_first(takes, puts):
-            transfer = self._path(holding, lift.goal, lower.start, grasp.theta)
+        last = takes.failure or puts.failure
+        if last is not None:
+            return last
+        empty, holding = self.surroundings.empty_handed(start_pose), self._model(grasp)
+        closed = float(self.surroundings.robot.gripper.lower)
+        for take, put in _nearest_first(takes.ways, puts.ways)[: self.options.joins]:
+            transfer = self._path(holding, take.outward.goal, put.inward.start, grasp.theta)
             if transfer.trajectory is None:
                 last = _no_path(kind, SegmentKind.TRANSFER, transfer)
                 continue
-            transit = self._path(before, configuration, approach.start, grasp.opening)
+            transit = self._path(empty, configuration, take.inward.start, grasp.opening)
             if transit.trajectory is None:
                 last = _no_path(kind, SegmentKind.TRANSIT, transit)
                 continue
-            closed = float(robot.gripper.lower)
             segments = (
                 Segment(SegmentKind.TRANSIT, transit.trajectory, grasp.opening, holding=False),
-                Segment(SegmentKind.APPROACH, approach, grasp.opening, holding=False),
+                Segment(SegmentKind.APPROACH, take.inward, grasp.opening, holding=False),
                 Segment(SegmentKind.CLOSE, None, closed, holding=True),
-                Segment(SegmentKind.LIFT, lift, closed, holding=True),
+                Segment(SegmentKind.LIFT, take.outward, closed, holding=True),
                 Segment(SegmentKind.TRANSFER, transfer.trajectory, closed, holding=True),
-                Segment(SegmentKind.LOWER, lower, closed, holding=True),
+                Segment(SegmentKind.LOWER, put.inward, closed, holding=True),
                 Segment(SegmentKind.OPEN, None, grasp.opening, holding=False),
-                Segment(SegmentKind.RETREAT, retreat, grasp.opening, holding=False),
+                Segment(SegmentKind.RETREAT, put.outward, grasp.opening, holding=False),
             )
             return Stage(kind, grasp, start_pose, release_pose, release_pose, segments)
+        assert last is not None
         return last
+
+    def _withdrawals(self, gripper_pose: Pose) -> list[Float[np.ndarray, " 3"]]:
+        """Displacements that take the open gripper off the target: back along the approach axis, or levelly back.
+
+        Both lie in the plane of the fingers' faces, so that the pads slide off the target.
+        """
+        out = -rigid(gripper_pose).rotation.apply(self._axis)
+        directions = [out]
+        level = out * [1.0, 1.0, 0.0]
+        size = float(np.linalg.norm(level))
+        if 0.3 < size < 0.98:
+            directions.append(level / size)
+        return [length * direction for length in self.options.approach for direction in directions]
+
+    def _model(self, grasp: Grasp) -> CollisionModel:
+        key = grasp.pose.tobytes()
+        if key not in self._holding:
+            self._holding[key] = self.clock.time("path_plan", lambda: self.surroundings.holding(grasp))
+        return self._holding[key]
 
     def _line(
         self,
@@ -250,17 +306,10 @@ class StageMotion:
         return self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, self.options.path, self.seed))
 
 
-def _nearest_first(
-    takes: Sequence[tuple[Trajectory, Trajectory]], puts: Sequence[tuple[Trajectory, Trajectory]]
-) -> Iterator[tuple[Trajectory, Trajectory, Trajectory, Trajectory]]:
+def _nearest_first(takes: Sequence[Reach], puts: Sequence[Reach]) -> list[tuple[Reach, Reach]]:
     """All pairs of taking and putting, those with the shortest way between them first."""
-    pairs = [(*take, *put) for take in takes for put in puts]
-    pairs.sort(key=lambda pair: float(np.abs(pair[2].start - pair[1].goal).max()))
-    yield from pairs
-
-
-def _turned(pose: Pose, vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    return rigid(pose).rotation.apply(vector)
+    pairs = [(take, put) for take in takes for put in puts]
+    return sorted(pairs, key=lambda pair: float(np.abs(pair[1].inward.start - pair[0].outward.goal).max()))
 
 
 def _no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:
