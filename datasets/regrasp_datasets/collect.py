@@ -218,6 +218,7 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
         return
     retried: set[int] = set()
     crashes = 0
+    console.print(f"Starting {options.workers} worker(s); the first plan compiles the planner, unless that is cached.")
     with WorkerPool(config, options.workers) as pool, _progress(console) as progress:
         bar = progress.add_task(
             "episodes", total=options.episodes, completed=len(chosen.seeds), note="starting workers"
@@ -277,7 +278,7 @@ def _line(attempt: Any) -> str:
     if attempt.stages:
         words += f", {attempt.stages} stage{'s' if attempt.stages > 1 else ''}"
     words += f", planned in {attempt.planning_seconds:.1f} s"
-    return words + (f" ({attempt.reason})" if attempt.reason else "")
+    return words + (f" ({attempt.cause})" if attempt.cause else "")
 
 
 def _pictures(options: CollectOptions, console: Console) -> dict[str, Any]:
@@ -307,7 +308,7 @@ def _report(
     from regrasp_datasets.records import read_episodes, versions
 
     records = read_episodes(options.root) if options.root.exists() else []
-    table = Table("episode", "seed", "object", "strategy", "stages", "planning s", "frames", "success")
+    table = Table("#", "seed", "object", "strategy", "stages", "planning s", "frames", "success", box=None)
     for record in records:
         table.add_row(
             str(record.episode_index),

@@ -15,6 +15,10 @@ def quiet_environment() -> None:
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
     os.environ.setdefault("TQDM_DISABLE", "1")
     os.environ.setdefault("SVT_LOG", "1")
+    # A worker that is ended in the middle of an episode leaves a semaphore of tqdm's behind; Python's resource tracker
+    # removes it and says so at length.
+    filters = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [filters, "ignore:resource_tracker"]))
 
 
 def quiet_lerobot() -> None:

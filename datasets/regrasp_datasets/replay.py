@@ -306,7 +306,7 @@ def replay(options: ReplayOptions, console: Console | None = None) -> int:
 
 
 def _report(options: ReplayOptions, results: list[ReplayResult], records: list[EpisodeRecord], console: Console) -> int:
-    table = Table("episode", "seed", "object", "frames", "success", "replayed", "states", "ms")
+    table = Table("#", "seed", "object", "frames", "success", "replayed", "states", "ms/frame", box=None)
     for result in results:
         table.add_row(
             str(result.episode_index),
