@@ -1,7 +1,6 @@
 """Clearances along a path: which pairs of bodies come near, how near, and a certificate that nothing touches between.
 
-Two compiled programs serve every query of a robot. `_survey` bounds every pair at every configuration from below, and
-bounds how far the bodies of a pair can move against each other on the way to the neighbouring configurations;
+Two compiled programs serve every query of a robot. `_survey` bounds every pair at every configuration from below;
 `_measure` gives distances and gradients of the few pairs the survey leaves open, as one flat batch.
 
 Motion bound. A body point turns with joint j at a radius of at most ρ_j (distance from the joint's axis to the body's
@@ -53,14 +52,14 @@ class Survey:
     Attributes:
         q: (N, n) radians.
         bounds: (N, P) lower bounds of the distances, metres.
-        motion: (N, P) bounds of how far the bodies of each pair move against each other, metres.
+        radius: (N, M, n) largest distance of a body's points from each joint's axis, metres.
         poses: (N, M, 7) world poses of all bodies.
         axis, point: (N, n, 3) each joint's axis and a point on it, in the world.
     """
 
     q: Float[np.ndarray, "N n"]
     bounds: Float[np.ndarray, "N P"]
-    motion: Float[np.ndarray, "N P"]
+    radius: Float[np.ndarray, "N M n"]
     poses: Float[np.ndarray, "N M 7"]
     axis: Float[np.ndarray, "N n 3"]
     point: Float[np.ndarray, "N n 3"]
@@ -166,24 +165,30 @@ class PathClearance:
             out[:, relieved] = np.minimum(out[:, relieved], end.distance[relieved] + away[:, None])
         return out
 
-    def survey(self, q: Float[np.ndarray, "N n"], variation: Float[np.ndarray, "N n"] | None = None) -> Survey:
-        """Bounds of all pairs at N configurations.
-
-        Args:
-            q: (N, n) radians.
-            variation: (N, n) how far each joint turns from each configuration, radians; default 0.
-        """
-        variation = np.zeros_like(q) if variation is None else variation
+    def survey(self, q: Float[np.ndarray, "N n"]) -> Survey:
+        """Bounds of all pairs at N configurations, (N, n) radians."""
         parts: list[list[np.ndarray]] = []
         for start in range(0, len(q), _CONFIGURATIONS):
-            part = slice(start, start + _CONFIGURATIONS)
-            keep = len(q[part])
-            padded, turned = _pad(q[part], _CONFIGURATIONS), _pad(variation[part], _CONFIGURATIONS)
-            out = _survey(self.model.arrays, self._joints, self._far, padded, turned, self.theta)
-            bounds, motion, *rest = (np.asarray(array) for array in out)
-            parts.append([array[:keep] for array in (bounds.T, motion.T, *rest)])
+            block = q[start : start + _CONFIGURATIONS]
+            out = _survey(self.model.arrays, _pad(block, _CONFIGURATIONS), self.theta)
+            bounds, *rest = (np.asarray(array) for array in out)
+            parts.append([array[: len(block)] for array in (bounds.T, *rest)])
         joined = [arrays[0] if len(parts) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
         return Survey(q, *joined)
+
+    def motion(
+        self, radius: Float[np.ndarray, "I M n"], variation: Float[np.ndarray, "I n"]
+    ) -> Float[np.ndarray, "I P"]:
+        """Bounds (I, P) of how far the bodies of each pair move against each other, metres.
+
+        Args:
+            radius: (I, M, n) of `Survey`, where each motion begins.
+            variation: (I, n) how far each joint turns, radians.
+        """
+        moves = np.abs(self._joints)
+        swing = np.einsum("pj,ipj->ip", moves, (radius * variation[:, None])[:, self._far])
+        # Beyond a radian of turning the bound says nothing useful; the floor only keeps it finite.
+        return swing / np.maximum(1.0 - variation @ moves.T, 1e-6)
 
     def measure_rows(self, survey: Survey, sample: Int[np.ndarray, " R"], pair: Int[np.ndarray, " R"]) -> Measured:
         """Distances and gradients of the given (configuration, pair) rows of a survey."""
@@ -268,14 +273,12 @@ class PathClearance:
         times, where = np.unique(np.concatenate([begin, end]), return_inverse=True)
         left, right = where[: len(begin)], where[len(begin) :]
         q = course.trajectory.at(times)
-        variation = np.zeros_like(q)
-        variation[left] = course.variation(begin, end)
-        survey = self.survey(q, variation)
+        survey = self.survey(q)
         relieved = self._contact_floor(q)
         floor = np.where(np.isfinite(relieved), relieved, self.floor)
         # Slack above touching, from the cheap bounds first.
         slack = np.where(self.valid, survey.bounds - self.floor, np.inf)
-        motion = survey.motion[left]
+        motion = self.motion(survey.radius[left], course.variation(begin, end))
         near = slack[left] + slack[right] <= motion
         needed = slack < 0
         np.logical_or.at(needed, left, near)
@@ -291,7 +294,7 @@ class PathClearance:
             return closest, np.zeros(len(begin), bool), found.collision(r, q)
         passed = slack[left] + slack[right] > motion
         passed |= np.isfinite(relieved[left]) & np.isfinite(relieved[right]) & (motion < _FINEST)
-        doubtful = ~passed.all(axis=1)
+        doubtful: Bool[np.ndarray, " I"] = np.logical_not(passed.all(axis=1))
         if last and doubtful.any():
             i = int(np.flatnonzero(doubtful)[0])
             k = int(np.where(passed[i], np.inf, slack[left[i]]).argmin())
@@ -374,14 +377,9 @@ def _chain_of_pairs(model: CollisionModel) -> tuple[Float[np.ndarray, "P n"], In
 
 @jax.jit
 def _survey(
-    arrays: CollisionArrays,
-    joints: Float[Array, "P n"],
-    far: Int[Array, " P"],
-    q: Float[Array, "N n"],
-    variation: Float[Array, "N n"],
-    theta: Float[Array, ""],
+    arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, ""]
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Bounds and motions (both (P, N)), poses (N, M, 7), joint axes and points (N, n, 3).
+    """Bounds (P, N), radii (N, M, n), poses (N, M, 7), joint axes and points (N, n, 3).
 
     Everything per pair is single precision, with configurations last: memory traffic is what it costs.
     """
@@ -389,17 +387,10 @@ def _survey(
     frames = jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q)[:, 1:-1]
     axis, point = jaxlie.SO3(frames[..., :4]) @ arrays.robot.arm.axes[None], frames[..., 4:]
     centers = jaxlie.SE3(poses) @ arrays.box_center[None]
-
     extent = jnp.linalg.norm(arrays.box_half, axis=-1) + arrays.bodies.radius
     arm = centers[:, :, None, :] - point[:, None]
     along = (arm * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
     radius = jnp.linalg.norm(arm - along, axis=-1) + extent[:, None]
-    swing = (radius * variation[:, None]).T.astype(jnp.float32)
-    moves = jnp.abs(joints).T[:, :, None].astype(jnp.float32)
-    motion = (moves * swing[:, far]).sum(0)
-    turned = (moves * variation.T[:, None, :].astype(jnp.float32)).sum(0)
-    # Beyond a radian of turning the bound says nothing useful; the floor only keeps it finite.
-    motion = motion / jnp.maximum(1.0 - turned, 1e-6) * (1.0 + 1e-5)
 
     rotations = jnp.moveaxis(jaxlie.SO3(poses[..., :4]).as_matrix().astype(jnp.float32), (0, 1), (3, 2))
     place = jnp.moveaxis(centers.astype(jnp.float32), (0, 1), (2, 1))
@@ -407,7 +398,7 @@ def _survey(
     a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
     sweep = (arrays.bodies.radius[a] + arrays.bodies.radius[b]).astype(jnp.float32)[:, None]
     bounds = _box_bounds(rotations[:, :, a], rotations[:, :, b], place[:, b] - place[:, a], half[:, a], half[:, b])
-    return bounds - sweep - _ROUNDING, motion, poses, axis, point
+    return bounds - sweep - _ROUNDING, radius, poses, axis, point
 
 
 def _box_bounds(

@@ -23,8 +23,11 @@ from jaxtyping import Float, Int
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-_BENDING = 2e-3
-"""w: weight of ∫|q''|² against ∫|q'|². At 2e-3 bends are spread over about √w ≈ 4 % of the path."""
+_BENDING = 6e-3
+"""w: weight of ∫|q''|² against ∫|q'|². Bends spread over about √w ≈ 8 % of the path; with less, a path may race through
+a thin wall between two samples."""
+_PATIENCE = 12
+"""Iterations without a tenth less violation after which a path is given up: it is caught between bodies."""
 _FEASIBLE = 5e-4
 """Constraint violation (metres) that counts as solved. Ask for a margin this much larger than needed."""
 
@@ -158,6 +161,7 @@ def optimize_path(
     iterations = 1
     settled = False
     last_violation, last_cost = np.inf, np.inf
+    progress = [(1, np.inf)]
     while iterations < max_iterations and not settled:
         for _ in range(4):
             step, predicted = problem.step(state, multiplier, penalty, radius)
@@ -184,6 +188,10 @@ def optimize_path(
         if radius < 1e-3:
             radius = 0.05
         last_violation = state.violation
+        progress.append((iterations, best.violation))
+        before = [violation for at, violation in progress if at <= iterations - _PATIENCE]
+        if before and best.violation > max(_FEASIBLE, 0.9 * before[-1]):
+            break
         state = problem.remerit(state, multiplier, penalty)
     points = np.concatenate([control_points[:1], best.x, control_points[-1:]])
     return OptimizedPath(points, float(best.violation), float(best.cost), iterations)

@@ -6,7 +6,7 @@
 2. trajectory optimisation (`path_optimizer`) from several initial guesses, the least obstructed first: straight, over
    configurations with the gripper retracted or lifted at either end, over the robot's home, over random configurations;
 3. RRT-Connect (`path_search`), shortcut, as the initial guess of the same optimisation; should the optimised curve not
-   pass, the shortcut polyline itself, which rests at each corner.
+   pass, the shortcut polyline itself, which rests at each corner. A short search comes after half of the guesses.
 
 Clearance (`path_clearance`): each pair of bodies keeps its margin of the collision model. A pair that is closer than
 its margin at an end of the path has its margin relieved there; see `PathClearance`. Every returned trajectory was
@@ -33,6 +33,8 @@ from regrasp_planner.trajectory import Trajectory, interpolating_path, time_para
 
 _SLACK = 1e-3
 """Clearance beyond the margin that the optimiser asks for: its tolerance, and what happens between its samples."""
+_REFINEMENTS = 2
+"""How often a path that collides between its samples is optimised again with more of them."""
 _NEARLY = 3e-3
 """An optimised path that misses its clearance by less than this (metres) may still be free: the exact check decides."""
 
@@ -68,7 +70,7 @@ class PathOptions:
     samples_per_interval: int = 3
     max_guesses: int = 4
     max_iterations: int = 30
-    search_rounds: int = 120
+    search_rounds: int = 200
     velocity_scale: float = 0.5
     acceleration_scale: float = 0.5
     contact_tolerance: float = 1e-3
@@ -230,12 +232,17 @@ class _Query:
             result = self.finish(bspline(fit_control_points(line, 8)), "straight")
             if result is not None:
                 return result
-        guesses = self.ranked([line, *self.guesses(start, goal)])
-        for guess in guesses[: self.options.max_guesses]:
-            result = self.optimized(guess, "optimised")
+        guesses = self.ranked([line, *self.guesses(start, goal)])[: self.options.max_guesses]
+        half, rounds = len(guesses) // 2, self.options.search_rounds
+        for some, share in ((guesses[:half], rounds // 4), (guesses[half:], rounds)):
+            for guess in some:
+                result = self.optimized(guess, "optimised")
+                if result is not None:
+                    return result
+            result = self.searched(start, goal, share)
             if result is not None:
                 return result
-        return self.searched(start, goal)
+        return self.failure(PathStatus.NO_PATH, self.blocked)
 
     def optimized(
         self, guess: Float[np.ndarray, "K n"], method: str, control_points: int | None = None
@@ -243,9 +250,8 @@ class _Query:
         """Optimise a polyline into a path that passes the exact check, or None."""
         count = control_points or self.options.control_points
         points = np.clip(fit_control_points(guess, count), self.lower, self.upper)
-        for density in (1, 2):
-            intervals = count - 3
-            samples = np.linspace(0.0, 1.0, density * self.options.samples_per_interval * intervals + 1)[1:-1]
+        samples = np.linspace(0.0, 1.0, self.options.samples_per_interval * (count - 3) + 1)[1:-1]
+        for _ in range(_REFINEMENTS + 1):
             outcome = optimize_path(
                 points,
                 self.rows,
@@ -260,9 +266,13 @@ class _Query:
                 self.blocked = self.clearance.touching(outcome.path(samples)) or self.blocked
                 return None
             result = self.finish(outcome.path, method)
-            if result is not None:
+            if result is not None or self.blocked is None:
                 return result
-            # Something slipped through between samples: once more from here, with twice as many.
+            # Something slipped through between samples: once more from here, with more of them about that place.
+            dense = np.linspace(0.0, 1.0, 2001)
+            hit = dense[np.linalg.norm(outcome.path(dense) - self.blocked.configuration, axis=1).argmin()]
+            more = hit + np.arange(-6, 7) / (4.0 * len(samples))
+            samples = np.union1d(samples, np.clip(more, 1e-3, 1 - 1e-3))
             points = outcome.control_points
         return None
 
@@ -273,14 +283,17 @@ class _Query:
         keep = slack < reach
         return Rows(found.sample[keep], found.pair[keep], slack[keep], found.gradient[keep])
 
-    def searched(self, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"]) -> PathResult:
+    def searched(self, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], rounds: int) -> PathResult | None:
         """RRT-Connect, shortcut and optimised."""
+        if rounds == 0:
+            return None
         free = self.clearance.free
+        ways_out = [np.array([q, *self.escapes(q, kind, every=6)]) for q in (start, goal) for kind in ("up", "back")]
         polyline = rrt_connect(
-            start, goal, free, self.lower, self.upper, self.rng, max_rounds=self.options.search_rounds
+            start, goal, free, self.lower, self.upper, self.rng, max_rounds=rounds, branches=ways_out
         )
         if polyline is None:
-            return self.failure(PathStatus.NO_PATH, self.blocked)
+            return None
         polyline = shortcut(polyline, free, self.rng)
         result = self.optimized(polyline, "searched") or self.optimized(
             polyline, "searched", 2 * self.options.control_points
@@ -297,8 +310,7 @@ class _Query:
             )
             for piece in np.stack([polyline[:-1], polyline[1:]], axis=1)
         ]
-        result = self.accept(_joined(pieces), "searched, with stops")
-        return result or self.failure(PathStatus.NO_PATH, self.blocked)
+        return self.accept(_joined(pieces), "searched, with stops")
 
     # --- initial guesses ----------------------------------------------------------------------------------------------
 
@@ -315,15 +327,20 @@ class _Query:
         out += [np.array([*ways[2], self.home, *returns[2]])]
         return out
 
-    def escapes(self, q: Float[np.ndarray, " n"], kind: str) -> list[Float[np.ndarray, " n"]]:
-        """The configuration after lifting the gripper, or drawing it back along its approach axis, by 15 cm."""
+    def escapes(self, q: Float[np.ndarray, " n"], kind: str, every: int | None = None) -> list[Float[np.ndarray, " n"]]:
+        """Configurations on lifting the gripper, or drawing it back along its approach axis, by 15 cm.
+
+        The last one alone, or each ``every``-th on the way (5 mm apart); none if the line cannot be followed.
+        """
         if kind == "none":
             return []
         pose, _ = self.kinematics.gripper(q)
         axis = np.asarray(self.model.arrays.robot.gripper.approach_axis, float)
         direction = np.array([0.0, 0.0, 1.0]) if kind == "up" else -pose[:3, :3] @ axis
-        line = follow_line(self.kinematics, q, 0.15 * direction, coarse=True)
-        return [line.configurations[-1]] if line.fraction > 0.2 else []
+        line = follow_line(self.kinematics, q, 0.15 * direction, coarse=every is None)
+        if line.fraction < 0.2:
+            return []
+        return [line.configurations[-1]] if every is None else list(line.configurations[every::every])
 
     def ranked(self, polylines: list[Float[np.ndarray, "K n"]]) -> list[Float[np.ndarray, "K n"]]:
         """Least obstructed first: total shortfall of clearance along the way, then length."""

@@ -7,7 +7,7 @@ costs little more than testing 10.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 Validity = Callable[[Float[np.ndarray, "N n"]], Bool[np.ndarray, " N"]]
 """Which of these configurations are free."""
 
-_BRANCHES = 12
+_BRANCHES, _NEAR_LINE, _NEAR_TREE = 12, 4, 1
 _EDGE = 0.8
 """Longest edge of a tree, radians (Euclidean)."""
 
@@ -53,6 +53,7 @@ def rrt_connect(
     rng: np.random.Generator,
     resolution: float = 0.05,
     max_rounds: int = 150,
+    branches: Sequence[Float[np.ndarray, "L n"]] = (),
 ) -> Float[np.ndarray, "K n"] | None:
     """A polyline from start to goal whose points, every ``resolution`` radians, are free; None if none is found.
 
@@ -63,15 +64,27 @@ def rrt_connect(
         rng: source of the samples.
         resolution: largest joint step between tested configurations, radians.
         max_rounds: rounds of growth; each tests up to two batches.
+        branches: lines that begin at the start or at the goal and are likely to lead out of a narrow place; as much of
+            each as is free is grown first.
     """
     trees = [_Tree(start[None].copy()), _Tree(goal[None].copy())]
+    for branch in branches:
+        tree = trees[0] if np.array_equal(branch[0], start) else trees[1]
+        node = np.zeros(1, int)
+        for point in branch[1:]:
+            node = _extend(tree, node, point[None], free, resolution, limit=np.inf)
+            if len(node) == 0 or not np.array_equal(tree.nodes[node[0]], point):
+                break
     for round_number in range(max_rounds):
         grown, other = round_number % 2, 1 - round_number % 2
         targets = rng.uniform(lower, upper, size=(_BRANCHES, len(start)))
-        # Half of the samples near the line between the ends: most detours are short.
-        near = _BRANCHES // 2
-        line = start + rng.uniform(size=(near, 1)) * (goal - start)
-        targets[:near] = np.clip(line + rng.normal(scale=0.6, size=(near, len(start))), lower, upper)
+        # Some samples near the line between the ends, for most detours are short, and some near the tree's own nodes,
+        # for narrow places are left in small steps.
+        line = start + rng.uniform(size=(_NEAR_LINE, 1)) * (goal - start)
+        own = trees[grown].nodes[rng.integers(len(trees[grown].nodes), size=_NEAR_TREE)]
+        centers = np.concatenate([line, own])
+        scale = np.repeat([0.6, 0.3], [_NEAR_LINE, _NEAR_TREE])[:, None]
+        targets[: len(centers)] = np.clip(centers + scale * rng.normal(size=centers.shape), lower, upper)
         new = _extend(trees[grown], trees[grown].nearest(targets), targets, free, resolution, limit=_EDGE)
         if len(new) == 0:
             continue

@@ -199,7 +199,7 @@ def _path_speed(
     from toppra import algorithm, constraint, interpolator
 
     class SplinePath(interpolator.AbstractGeometricPath):  # type: ignore[misc]
-        def __call__(self, path_positions, order=0):
+        def __call__(self, path_positions: float | Float[np.ndarray, " N"], order: int = 0) -> Float[np.ndarray, "N n"]:
             return path(path_positions, order)
 
         @property
@@ -218,7 +218,7 @@ def _path_speed(
         ),
     ]
     solver = algorithm.TOPPRA(limits, SplinePath(), gridpoints=grid, solver_wrapper="seidel")
-    _, speed, _ = solver.compute_parameterization(0.0, 0.0)
+    speed = solver.compute_parameterization(0.0, 0.0)[1]
     if speed is None or not np.isfinite(speed).all():
         raise ArithmeticError("no timing within the limits exists for this path")
     return np.maximum(speed, 0.0)

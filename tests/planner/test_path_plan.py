@@ -3,9 +3,6 @@ import jax
 import numpy as np
 import pytest
 from jaxlie import SE3
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
-
 from regrasp_planner.collision import body_frames, collision_model
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.path_clearance import PathClearance
@@ -15,6 +12,8 @@ from regrasp_planner.robot import forward_kinematics
 from regrasp_planner.scene import Body, Obstacle
 from regrasp_planner.straight_line import ArmKinematics, follow_line
 from regrasp_planner.trajectory import Trajectory, interpolating_path, time_parametrize
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 THETA = 0.03
 STANDS_ON = {("link1", "table"): None}
@@ -312,7 +311,7 @@ def test_a_line_out_of_reach_says_how_far_it_got(robot):
 def test_a_line_goes_on_with_the_other_joints_when_one_is_at_its_limit(robot):
     kinematics = ArmKinematics(robot.arm)
     # Not the symmetric home, where the joints that could help are singular.
-    start = np.asarray(robot.home) + [0.3, 0.2, 0.5, 0.1, -0.4, 0.2, 0]
+    start = np.asarray(robot.home) + np.array([0.3, 0.2, 0.5, 0.1, -0.4, 0.2, 0])
     kinematics.upper = kinematics.upper.copy()
     kinematics.upper[1] = start[1] + 0.02
     line = follow_line(kinematics, start, np.array([0.08, 0, 0]))
