@@ -258,29 +258,55 @@ def body_frames(arrays: CollisionArrays, q: Float[Array, " n"], theta: Float[Arr
     return jnp.concatenate([robot, held, arrays.local_poses[stop:]])
 
 
-def pair_bounds(arrays: CollisionArrays, poses: Float[Array, "M 7"]) -> Float[Array, " P"]:
-    """Lower bounds (P,) of distance minus margin, metres, from the boxes of the bodies; +inf for padding.
+def pair_bounds(arrays: CollisionArrays, poses: Float[Array, "*N M 7"]) -> Float[Array, "*N P"]:
+    """Lower bounds (*N, P) of distance minus margin, metres, from the boxes of the bodies; +inf for padding.
 
     In the frame of A the box of B, turned, lies in a box with half sizes |R| h; the distance of the two boxes there,
     less both sweeps, is a lower bound, and so it is in the frame of B. The larger counts.
+
+    Args:
+        arrays: the model.
+        poses: (*N, M, 7) from `body_frames`; give all configurations at once rather than under vmap.
     """
-    rotations = jaxlie.SO3(poses[:, :4]).as_matrix()
-    centers = jnp.einsum("mij,mj->mi", rotations, arrays.box_center) + poses[:, 4:]
+    # Configurations last: the picks by body are then copies of whole rows, and all else is elementwise.
+    rows = jnp.moveaxis(poses.reshape(-1, *poses.shape[-2:]), 0, -1)
+    w, x, y, z = (rows[:, i] for i in range(4))
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    local = arrays.box_center[:, :, None]
+    center = [rows[:, 4 + i] + sum(turn[i][j] * local[:, j] for j in range(3)) for i in range(3)]
     a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
-    turn_a, turn_b = rotations[a], rotations[b]
-    shift = centers[b] - centers[a]
-    relative = jnp.abs(jnp.einsum("pji,pjk->pik", turn_a, turn_b))
-    half_a, half_b = arrays.box_half[a], arrays.box_half[b]
-    gap_a = jnp.abs(jnp.einsum("pji,pj->pi", turn_a, shift)) - half_a - jnp.einsum("pik,pk->pi", relative, half_b)
-    gap_b = jnp.abs(jnp.einsum("pji,pj->pi", turn_b, shift)) - half_b - jnp.einsum("pki,pk->pi", relative, half_a)
-    apart = jnp.maximum(_box_distance(gap_a), _box_distance(gap_b))
-    bound = apart - arrays.bodies.radius[a] - arrays.bodies.radius[b] - arrays.margin
-    return jnp.where(arrays.valid, bound, jnp.inf)
+    shift = [center[i][b] - center[i][a] for i in range(3)]
+    turn_a = [[turn[i][j][a] for j in range(3)] for i in range(3)]
+    turn_b = [[turn[i][j][b] for j in range(3)] for i in range(3)]
+    half_a, half_b = arrays.box_half[a][:, :, None], arrays.box_half[b][:, :, None]
+    relative = [[jnp.abs(sum(turn_a[k][i] * turn_b[k][j] for k in range(3))) for j in range(3)] for i in range(3)]
+    gap_a = [
+        jnp.abs(sum(turn_a[k][i] * shift[k] for k in range(3)))
+        - half_a[:, i]
+        - sum(relative[i][j] * half_b[:, j] for j in range(3))
+        for i in range(3)
+    ]
+    gap_b = [
+        jnp.abs(sum(turn_b[k][j] * shift[k] for k in range(3)))
+        - half_b[:, j]
+        - sum(relative[i][j] * half_a[:, i] for i in range(3))
+        for j in range(3)
+    ]
+    needed = (arrays.bodies.radius[a] + arrays.bodies.radius[b] + arrays.margin)[:, None]
+    bound = jnp.maximum(_box_distance(gap_a), _box_distance(gap_b)) - needed
+    bound = jnp.where(arrays.valid[:, None], bound, jnp.inf)
+    return jnp.moveaxis(bound, -1, 0).reshape(*poses.shape[:-2], -1)
 
 
-def _box_distance(gap: Float[Array, "P 3"]) -> Float[Array, " P"]:
+def _box_distance(gap: Sequence[Array]) -> Array:
     """Distance of boxes whose gaps along three axes are given; the largest gap where all are negative (overlap)."""
-    return jnp.where((gap > 0).any(-1), jnp.linalg.norm(jnp.maximum(gap, 0.0), axis=-1), gap.max(-1))
+    widest = jnp.maximum(jnp.maximum(gap[0], gap[1]), gap[2])
+    apart = jnp.sqrt(sum(jnp.maximum(part, 0.0) ** 2 for part in gap))
+    return jnp.where(widest > 0, apart, widest)
 
 
 def nearest_pairs(
@@ -353,7 +379,7 @@ def _posed_bounds(
     arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, " N"]
 ) -> tuple[Float[Array, "N M 7"], Float[Array, "N P"]]:
     poses = jax.vmap(lambda angles, opening: body_frames(arrays, angles, opening))(q, theta)
-    return poses, jax.vmap(lambda p: pair_bounds(arrays, p))(poses)
+    return poses, pair_bounds(arrays, poses)
 
 
 @jax.jit
@@ -365,13 +391,13 @@ def _posed_gripper_bounds(
     hand = forward_kinematics(arrays.robot.arm, home)[-1]
     rigid = arrays.mover == arrays.robot.arm.dof
 
-    def posed(target: Float[Array, " 7"], opening: Float[Array, ""]) -> tuple[Float[Array, "M 7"], Float[Array, " P"]]:
+    def posed(target: Float[Array, " 7"], opening: Float[Array, ""]) -> Float[Array, "M 7"]:
         poses = body_frames(arrays, home, opening)
         moved = (jaxlie.SE3(target) @ jaxlie.SE3(hand).inverse() @ jaxlie.SE3(poses)).wxyz_xyz
-        poses = jnp.where(rigid[:, None], moved, poses)
-        return poses, jnp.where(gripper_pairs(arrays), pair_bounds(arrays, poses), jnp.inf)
+        return jnp.where(rigid[:, None], moved, poses)
 
-    return jax.vmap(posed)(targets, theta)
+    poses = jax.vmap(posed)(targets, theta)
+    return poses, jnp.where(gripper_pairs(arrays), pair_bounds(arrays, poses), jnp.inf)
 
 
 @jax.jit

@@ -327,12 +327,9 @@ def _descend(
 @jax.jit
 def _near(arrays: CollisionArrays, q: Float[Array, "L n"], theta: Float[Array, " L"]) -> Int[Array, "L C"]:
     """The nearest pairs that the arm's motion can change."""
-
-    def nearest(angles: Float[Array, " n"], opening: Float[Array, ""]) -> Int[Array, " C"]:
-        bounds = pair_bounds(arrays, body_frames(arrays, angles, opening))
-        return jax.lax.top_k(-jnp.where(gripper_pairs(arrays), jnp.inf, bounds), ACTIVE_PAIRS)[1]
-
-    return jax.vmap(nearest)(q, theta)
+    poses = jax.vmap(lambda angles, opening: body_frames(arrays, angles, opening))(q, theta)
+    bounds = jnp.where(gripper_pairs(arrays), jnp.inf, pair_bounds(arrays, poses))
+    return jax.lax.top_k(-bounds, ACTIVE_PAIRS)[1]
 
 
 def _escape(arm: Arm, group: list[_Search], max_solutions: int) -> None:

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
-
 from regrasp_planner.collision import (
     batch_clearances,
     body_frames,
@@ -89,7 +88,7 @@ def test_bounds_are_lower_bounds_and_culling_loses_nothing(model):
     value, _ = clearances(model.arrays, jnp.asarray(q), jnp.asarray(theta), jnp.asarray(every))
     value = np.where(model.arrays.valid, value, np.inf)
     poses = frames(model.arrays, jnp.asarray(q), jnp.asarray(theta))
-    bounds = jax.jit(jax.vmap(pair_bounds, in_axes=(None, 0)))(model.arrays, poses)
+    bounds = jax.jit(pair_bounds)(model.arrays, poses)
     # A DSF may lie below the hull by its sharpness, so below the hull's bound too.
     assert np.all(np.asarray(bounds)[:, model.arrays.valid] <= value[:, model.arrays.valid] + 6e-3)
     assert np.isinf(bounds[:, ~np.asarray(model.arrays.valid)]).all()
@@ -99,9 +98,9 @@ def test_bounds_are_lower_bounds_and_culling_loses_nothing(model):
 
 
 def test_derivatives_match_finite_differences(model):
-    q = random_configurations(model, 8, seed=3)
-    theta = jnp.full(8, 0.02)
-    pairs = jax.jit(jax.vmap(lambda x: nearest_pairs(model.arrays, x, 0.02, 12)))(jnp.asarray(q))
+    q = random_configurations(model, 4, seed=3)
+    theta = jnp.full(4, 0.02)
+    pairs = jnp.tile(jnp.arange(len(model.pairs)), (4, 1))
     value, slope = clearances(model.arrays, jnp.asarray(q), theta, pairs)
     direction, h = np.random.default_rng(0).normal(size=7), 1e-6
     ahead, _ = clearances(model.arrays, jnp.asarray(q + h * direction), theta, pairs)
@@ -111,9 +110,9 @@ def test_derivatives_match_finite_differences(model):
     difference = np.asarray(ahead - behind) / (2 * h)
     np.testing.assert_allclose((slope @ direction)[apart], difference[apart], atol=1e-4)
 
-    jacobian = jax.jit(jax.jacfwd(lambda x: pair_clearances(model.arrays, x, jnp.asarray(0.02), pairs[0])))
-    gradient = jacobian(jnp.asarray(q[0]))
-    np.testing.assert_allclose(gradient, slope[0], atol=1e-9)
+    nearest = jax.jit(lambda x: nearest_pairs(model.arrays, x, jnp.asarray(0.02), 12))(jnp.asarray(q[0]))
+    jacobian = jax.jit(jax.jacfwd(lambda x: pair_clearances(model.arrays, x, jnp.asarray(0.02), nearest)))
+    np.testing.assert_allclose(jacobian(jnp.asarray(q[0])), slope[0][nearest], atol=1e-6)
 
 
 def test_gripper_clearance_is_that_of_the_pairs_the_arm_cannot_change(model):

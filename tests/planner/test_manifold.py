@@ -1,5 +1,7 @@
 """Manifolds: retractions stay on them, gradients match finite differences, transports are isometries."""
 
+from functools import lru_cache
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -7,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from regrasp_planner.optim import SE3, Euclidean, Product, Sphere
 from regrasp_planner.optim.manifold import tangent_basis
 
@@ -19,6 +20,16 @@ MANIFOLDS = {
 }
 seeds = st.integers(0, 2**31 - 1)
 on_every_manifold = pytest.mark.parametrize("manifold", MANIFOLDS.values(), ids=MANIFOLDS.keys())
+
+
+@lru_cache
+def along(manifold):
+    """Compiled t ↦ f(retract(point, t·direction)) with gradient and Hessian at 0."""
+
+    def value(point, tangent):
+        return smooth_function(manifold.retract(point, tangent))
+
+    return tuple(jax.jit(f) for f in (value, jax.grad(value, argnums=1), jax.hessian(value, argnums=1)))
 
 
 def smooth_function(point):
@@ -39,12 +50,10 @@ def test_gradient_matches_finite_differences(manifold, seed):
     point = manifold.random_point(jax.random.key(seed))
     direction = random_tangent(manifold, seed)
 
-    def along(t):
-        return smooth_function(manifold.retract(point, t * direction))
-
+    value, gradient_of, _ = along(manifold)
     h = 1e-5
-    slope = (along(h) - along(-h)) / (2 * h)
-    gradient = jax.grad(lambda xi: smooth_function(manifold.retract(point, xi)))(jnp.zeros(manifold.dim))
+    slope = (value(point, h * direction) - value(point, -h * direction)) / (2 * h)
+    gradient = gradient_of(point, 0 * direction)
     assert gradient @ direction == pytest.approx(float(slope), rel=1e-6, abs=1e-7)
 
 
@@ -55,12 +64,10 @@ def test_second_derivative_matches_finite_differences(manifold, seed):
     point = manifold.random_point(jax.random.key(seed))
     direction = random_tangent(manifold, seed)
 
-    def along(t):
-        return smooth_function(manifold.retract(point, t * direction))
-
+    value, _, hessian_of = along(manifold)
     h = 1e-3
-    bend = (along(h) - 2 * along(0.0) + along(-h)) / h**2
-    hessian = jax.hessian(lambda xi: smooth_function(manifold.retract(point, xi)))(jnp.zeros(manifold.dim))
+    bend = (value(point, h * direction) - 2 * value(point, 0 * direction) + value(point, -h * direction)) / h**2
+    hessian = hessian_of(point, 0 * direction)
     scale = 1.0 + float(direction @ direction) ** 2
     assert abs(direction @ hessian @ direction - bend) < 2e-5 * scale
 

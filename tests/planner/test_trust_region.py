@@ -9,7 +9,6 @@ import pytest
 import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from regrasp_planner.optim import SE3, Euclidean, Product, Sphere, Status, truncated_cg, trust_region
 
 both_models = pytest.mark.parametrize("hessian", ["exact", "bfgs"])
@@ -141,7 +140,7 @@ def test_truncated_cg_stays_inside_and_beats_the_cauchy_point(seed):
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(5, 5))
     hessian, gradient, radius = jnp.asarray(a + a.T), jnp.asarray(rng.normal(size=5)), rng.uniform(0.01, 3.0)
-    step, hit = truncated_cg(gradient, hessian, jnp.asarray(radius))
+    step, hit = jax.jit(truncated_cg)(gradient, hessian, jnp.asarray(radius))
 
     def model(s):
         return float(gradient @ s + 0.5 * s @ hessian @ s)
