@@ -6,9 +6,9 @@ Proposition 1 for the way there). h is smoothed to a DSF, minimised from many st
 trust region at rising sharpness, and tested by the Riemannian Hessian Pᵀ∇²hP − h·I (eq. (7), Algorithm 2).
 
 A DSF at finite sharpness moves, and at low sharpness loses, minima. So each minimiser is referred to the facet of the
-exact hull that it stands on: the direction becomes the facet's normal, and the pose counts only if the foot of the
-centre of mass lies inside of the facet. Stable facets that no start of the uniform set has reached get a start of their
-own, so that rare poses are not lost; their probability is 0.
+exact hull that it stands on, or to the one where toppling from it ends: the direction becomes the facet's normal, and
+the pose counts only if the foot of the centre of mass lies inside of the facet. Every such facet gets a start of its
+own beside the uniform ones, so that rare poses are not lost; one that no uniform start reaches has probability 0.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ from regrasp_planner.geometry.hull import Facets, bucket_size, facets, qhull
 from regrasp_planner.geometry.hull import center_of_mass as solid_center_of_mass
 from regrasp_planner.geometry.pair_solver import Model, climb, core_terms, quadratic, tangent_basis
 
-SHARPNESS = 512.0
-FIRST_SHARPNESS = 64.0
-LONGEST_STEP = 0.15
-"""Radians: short enough that a start does not jump over the rim of its basin."""
+SHARPNESS = 1026
+"""Lower ones lose poses with a low rim. There are no stages below it: they would lead across rims that they lose."""
 
-TOLERANCE = 1e-3
+LONGEST_STEP = 0.05
+"""Radians: short enough that a start keeps to the way of steepest descent and does not leap over a rim."""
+
 EVALUATIONS = 24
+"""A start that has not come to its facet by then has come to one from which it topples there."""
+
+TOLERANCE = 0.1
 PATIENCE = 4
-EXTRA_STARTS = 32
+LEAST_EXTRA = 32
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,8 @@ class StablePoses:
     Attributes:
         directions: (m, 3) unit vectors x* in the object's frame that point down in the pose: normals of hull facets.
         rotations: (m, 3, 3) object to world, with third row −x* (eq. (5)).
-        stability: (m,) least eigenvalue of the Riemannian Hessian of h at the minimiser, metres per rad², at sharpness
-            `SHARPNESS`; the poses are ranked by it.
+        stability: (m,) least eigenvalue of the Riemannian Hessian of h at the minimiser (eq. (7)), metres per rad², at
+            sharpness `SHARPNESS`; 0 where the rim is so low that the DSF has no minimum. The poses are ranked by it.
         probability: (m,) share of the uniform starts that settle into the pose.
         margin: (m,) distance of the centre of mass's foot from the rim of the support polygon, metres.
         barrier: (m,) how far the centre of mass must rise for the object to roll into another pose, metres.
@@ -103,16 +106,15 @@ def stable_poses(
     sinks = _sinks(faces.topples_to)
 
     uniform = fibonacci_sphere(starts)
-    extra = resting[np.argsort(-faces.margins[resting])[:EXTRA_STARTS]]
-    begin = np.zeros((starts + EXTRA_STARTS, 3))
-    begin[:starts], begin[starts:] = uniform, uniform[0]
-    begin[starts : starts + len(extra)] = faces.normals[extra]
+    begin = np.tile(uniform[0], (starts + bucket_size(max(len(resting), LEAST_EXTRA)), 1))
+    begin[:starts] = uniform
+    begin[starts : starts + len(resting)] = faces.normals[resting]
     padded = np.zeros((bucket_size(len(offsets)), 3))
     padded[: len(offsets)] = offsets
     ends, curvature = (np.asarray(out) for out in settle(padded.T, begin.T))
 
     facet = sinks[(ends.T @ faces.normals.T).argmax(axis=1)]
-    return _ranked(faces, resting, sinks, facet, curvature, uniform, len(extra))
+    return _ranked(faces, resting, sinks, facet, curvature, uniform)
 
 
 @jax.jit
@@ -123,10 +125,10 @@ def settle(offsets: Float[Array, "3 V"], starts: Float[Array, "3 N"]) -> tuple[F
         The unit minimisers, and the least eigenvalue (N,) of the Riemannian Hessian of h at each, m/rad².
     """
     corners = offsets[:, :, None]
-    last = jnp.full(starts.shape[1], SHARPNESS)
+    last = jnp.full(starts.shape[1], float(SHARPNESS))
 
-    def model_at(x: Float[Array, "3 N"], stage: Float[Array, " N"]) -> Model:
-        value, gradient, hessian = core_terms(corners, x, stage)
+    def model_at(x: Float[Array, "3 N"], _: Float[Array, " N"]) -> Model:
+        value, gradient, hessian = core_terms(corners, x, SHARPNESS)
         u, v = tangent_basis(x)
         return Model(
             -value,
@@ -143,7 +145,7 @@ def settle(offsets: Float[Array, "3 V"], starts: Float[Array, "3 N"]) -> tuple[F
         size,
         last,
         starts,
-        jnp.full_like(last, FIRST_SHARPNESS),
+        last,
         jnp.ones_like(last, bool),
         patience=PATIENCE,
         widest=LONGEST_STEP,
@@ -194,12 +196,12 @@ def _ranked(
     facet: Int[np.ndarray, " K"],
     curvature: Float[np.ndarray, " K"],
     uniform: Float[np.ndarray, "k 3"],
-    extras: int,
 ) -> StablePoses:
     count = len(uniform)
     number = len(faces.normals)
-    stability = np.full(number, -np.inf)
-    np.maximum.at(stability, facet[: count + extras], curvature[: count + extras])
+    own = slice(count, count + len(resting))
+    stability = np.zeros(number)
+    stability[resting] = np.where(facet[own] == resting, np.maximum(curvature[own], 0.0), 0.0)
     hits = np.bincount(facet[:count], minlength=number)
 
     first, second = sinks[faces.edges[:, 0]], sinks[faces.edges[:, 1]]

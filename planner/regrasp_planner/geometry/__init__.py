@@ -7,6 +7,7 @@ from regrasp_planner.geometry.distance import (
     separation,
     signed_distance,
 )
+from regrasp_planner.geometry.hull import Facets, MassProperties, facets, mass_properties, minimal_width, qhull
 from regrasp_planner.geometry.support import (
     ConvexBody,
     exact_support_value,
@@ -17,10 +18,16 @@ from regrasp_planner.geometry.support import (
 
 __all__ = [
     "ConvexBody",
+    "Facets",
+    "MassProperties",
     "Separation",
     "certified_distance",
     "contact_direction",
     "exact_support_value",
+    "facets",
+    "mass_properties",
+    "minimal_width",
+    "qhull",
     "separation",
     "signed_distance",
     "support_hessian",

@@ -137,7 +137,7 @@ class Facets:
 
 
 def facets(hull: ConvexHull, point: Float[np.ndarray, " 3"], coplanar: float = 1e-5) -> Facets:
-    """Facets of a hull about an interior ``point`` (3,), merging neighbours whose normals differ by ``coplanar`` radians."""
+    """Facets of a hull about an interior ``point`` (3,); neighbours within ``coplanar`` radians are merged."""
     triangle_normals, neighbors = hull.equations[:, :3], hull.neighbors
     count = len(neighbors)
     across = np.linalg.norm(triangle_normals[:, None] - triangle_normals[neighbors], axis=2)
@@ -193,10 +193,8 @@ def minimal_width(points: Float[np.ndarray, "N 3"]) -> float:
     """
     hull = qhull(points)
     vertices = hull.points[hull.vertices]
-    ends = np.unique(
-        np.sort(np.concatenate([hull.simplices[:, [0, 1]], hull.simplices[:, [1, 2]], hull.simplices[:, [0, 2]]])),
-        axis=0,
-    )
+    sides = hull.simplices[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2)
+    ends = np.unique(np.sort(sides), axis=0)
     directions = hull.points[ends[:, 1]] - hull.points[ends[:, 0]]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     widths = np.ptp(hull.equations[:, :3] @ vertices.T, axis=1).min()

@@ -129,7 +129,7 @@ class ConvexBody:
     def sphere(
         cls, radius: float, center: Sequence[float] = (0.0, 0.0, 0.0), sharpness: float = DEFAULT_SHARPNESS
     ) -> ConvexBody:
-        """Sphere of ``radius`` metres about ``center`` (3,), contained with at most 1 mm (4 % of the radius) to spare."""
+        """Sphere of ``radius`` metres about ``center`` (3,); the body contains it and exceeds it by at most 1 mm."""
         at = jaxlie.SE3.from_translation(jnp.asarray(center, float))
         return cls.capsule(radius, 0.0, at, sharpness)
 
@@ -218,11 +218,10 @@ class ConvexBody:
 
 def support_value(body: ConvexBody, x: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
     """h(x), metres for a unit direction x (3,); batch axes of body and x broadcast."""
-    offsets, heights, top = _heights(body, x)
+    _, heights, top = _heights(body, x)
     ratio = heights / top[..., None]
     power = whole_power(ratio, _exponent(body)[..., None] - 2) * ratio**2
     rounded = power.sum(-1) ** (1 / _exponent(body))
-    del offsets
     return (body.center * x).sum(-1) + top * rounded + body.radius * jnp.linalg.norm(x, axis=-1)
 
 
@@ -248,8 +247,8 @@ def exact_support_value(body: ConvexBody, x: Float[Array, "*batch 3"]) -> Float[
     return jnp.einsum("...vi,...i->...v", body.vertices, x).max(-1) + body.radius * jnp.linalg.norm(x, axis=-1)
 
 
-def whole_power(base: Float[Array, "*n"], exponent: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """``base ** exponent`` for whole, traced exponents in 0…2047, by repeated squaring."""
+def whole_power(base: Float[Array, "*n"], exponent: Float[Array, "*m"]) -> Float[Array, "*n"]:
+    """``base ** exponent`` (broadcast) for whole, traced exponents in 0…2047, by repeated squaring."""
     bits = exponent.astype(jnp.int32)
     result = jnp.ones_like(base)
     for bit in range(EXPONENT_BITS):
