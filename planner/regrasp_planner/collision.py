@@ -495,7 +495,7 @@ def _clearance_chunk(
     poses, bounds = posing(model.arrays, jnp.asarray(states[fill]), jnp.asarray(theta[fill]))
     bounds = np.asarray(bounds)[:count]
     margin = np.asarray(model.arrays.margin)
-    value, pair = np.full(count, cap), np.full(count, -1)
+    value, pair = np.full(count, float(cap)), np.full(count, -1)
 
     def measure(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> None:
         measured = _measure(model, poses, rows, pairs, exact) - margin[pairs]
