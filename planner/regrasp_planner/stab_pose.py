@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from regrasp_planner.errors import GeometryError
+from regrasp_planner.geometry.ascent import Model, climb, core_terms, quadratic, tangent_basis
 from regrasp_planner.geometry.hull import Facets, bucket_size, facets, qhull
 from regrasp_planner.geometry.hull import center_of_mass as solid_center_of_mass
-from regrasp_planner.geometry.pair_solver import Model, climb, core_terms, quadratic, tangent_basis
 
 SHARPNESS = 1026
 """Lower ones lose poses with a low rim. There are no stages below it: they would lead across rims that they lose."""

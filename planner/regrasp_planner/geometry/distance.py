@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
-from regrasp_planner.geometry.pair_solver import Pairs, core_terms, maximisers, quadratic, tangent_basis
+from regrasp_planner.geometry.ascent import core_terms, quadratic, tangent_basis
+from regrasp_planner.geometry.pair_solver import Pairs, maximisers
 from regrasp_planner.geometry.support import ConvexBody, exact_support_value
 
 Pose7 = Float[Array, "N 7"]
