@@ -103,7 +103,7 @@ class GraspResult(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class _Problem:
+class GraspProblem:
     """Arrays of one grasp problem: target pieces, union of obstacles, and the gripper reduced to few bodies.
 
     ``hand`` stacks palm, finger 0 and finger 1 (the convex hull of each); ``pads`` the two contact bodies.
@@ -332,7 +332,7 @@ def _theta_of_width(gripper: Gripper, width: float) -> float:
 # ------------------------------------------------------------------------------------------------------ optimisation
 
 
-def _terms(point: tuple[Array, Array], problem: _Problem) -> tuple[Array, Array, Array, Array]:
+def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Array, Array, Array]:
     """Quality f, contact distances (2,), clearances of the open gripper (3W + P,), limits of θ (2,) at one grasp.
 
     ``point`` is the gripper pose in the target's frame and θ in units of ``problem.length``.
@@ -381,14 +381,26 @@ def _terms(point: tuple[Array, Array], problem: _Problem) -> tuple[Array, Array,
     return antipodal + alignment, contact, clearance, limits
 
 
-def _al_problem(point: tuple[Array, Array], problem: _Problem) -> tuple[Array, Array, Array]:
+def grasp_objective(
+    point: tuple[Float[Array, " 7"], Float[Array, " 1"]], problem: GraspProblem
+) -> tuple[Float[Array, ""], Float[Array, " 2"], Float[Array, " I"]]:
+    """Problem (4) at one grasp, as `augmented_lagrangian` takes it.
+
+    Args:
+        point: gripper pose in the target's frame, and θ in units of the gripper's opening.
+        problem: from `grasp_problem`.
+
+    Returns:
+        −f; the pads' signed distances from the target (2,), to be zero; and clearances beyond δ_col and distances of
+        θ from its limits (I,), to be at least zero. All distances in units of the gripper's opening.
+    """
     quality, contact, clearance, limits = _terms(point, problem)
     scale = 1.0 / problem.length
     return -quality, contact * scale, jnp.concatenate([clearance - problem.margin, limits]) * scale
 
 
 @jax.jit
-def _screen(poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: _Problem) -> _Terms:
+def _screen(poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: GraspProblem) -> _Terms:
     """Quality, contact, clearance and total violation of K grasps, without derivatives."""
 
     def one(pose: Array, theta: Array) -> _Terms:
@@ -402,14 +414,19 @@ def _screen(poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: _P
 
 @partial(jax.jit, static_argnames=("length", "max_evaluations"))
 def _refine(
-    poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: _Problem, *, length: float, max_evaluations: int
+    poses: Float[Array, "K 7"],
+    thetas: Float[Array, "K 1"],
+    problem: GraspProblem,
+    *,
+    length: float,
+    max_evaluations: int,
 ) -> tuple[Float[Array, "K 7"], _Terms, Int[Array, " K"]]:
     """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep."""
     manifold = Product((SE3(length=length), Euclidean(1)))
 
     def one(pose: Array, theta: Array) -> tuple[Array, _Terms, Array]:
         result = augmented_lagrangian(
-            _al_problem,
+            grasp_objective,
             (pose, theta),
             manifold,
             params=problem,
@@ -430,7 +447,7 @@ def _refine(
     return jax.vmap(one)(poses, thetas)
 
 
-def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions) -> _Problem:
+def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions) -> GraspProblem:
     """The arrays of one problem (4), padded so that scenes of similar size share one compiled program."""
     reduced = reduce_gripper(gripper)
     hull = target.hull_vertices()
@@ -444,7 +461,7 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
     pieces, obstacles = ConvexBody.stack(list(target.pieces)), ConvexBody.stack(bodies)
     vertices = _bucket(max(pieces.vertices.shape[-2], obstacles.vertices.shape[-2]), VERTEX_BUCKETS)
     pieces, obstacles = pieces.padded_to(vertices=vertices), obstacles.padded_to(vertices=vertices)
-    return _Problem(
+    return GraspProblem(
         pieces=pieces.with_sharpness(options.sharpness),
         center=jnp.asarray(target.center_of_mass, float),
         obstacles=obstacles.with_sharpness(options.sharpness),
@@ -518,7 +535,7 @@ def _evenly(count: int, limit: int) -> np.ndarray:
     return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)
 
 
-def _screened(poses: np.ndarray, scaled: np.ndarray, problem: _Problem) -> tuple[np.ndarray, np.ndarray]:
+def _screened(poses: np.ndarray, scaled: np.ndarray, problem: GraspProblem) -> tuple[np.ndarray, np.ndarray]:
     """Violation and quality of all starts, evaluated in batches of one size so that one program serves all."""
     violations, qualities = [], []
     for begin in range(0, len(poses), SCREEN_BATCH):

@@ -63,7 +63,7 @@ def panda_robot():
         (7, _capsule(0.04, 0.14, (0, 0, 0.01)).transformed(turn)),
     ]
     tip = 0.1034
-    palm = [_capsule(0.04, 0.1, (0, 0, 0.04 - tip), along_y), _capsule(0.02, 0.1, (0, 0, 0.10 - tip), along_y)]
+    palm = [_capsule(0.03, 0.1, (0, 0, 0.03 - tip), along_y), _capsule(0.02, 0.1, (0, 0, 0.05 - tip), along_y)]
     pad = 0.0584 + 0.04525 - tip
     fingers = [ConvexBody.box((0.0175, 0.0152, 0.0185), jaxlie.SE3(pose((0, side * 0.0076, pad)))) for side in (1, -1)]
     bodies = 9 + 2

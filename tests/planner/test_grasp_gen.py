@@ -1,0 +1,174 @@
+"""GraspGen against finite differences, exact distances and problems whose answer is known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from regrasp_planner.geometry.distance import certified_distance
+from regrasp_planner.geometry.support import ConvexBody
+from regrasp_planner.grasp_gen import (
+    GraspGenOptions,
+    closing_axes,
+    generate_grasps,
+    grasp_objective,
+    grasp_problem,
+    grasp_starts,
+    reduce_gripper,
+)
+from regrasp_planner.optim.manifold import SE3, Euclidean, Product
+from regrasp_planner.pose import rigid, wxyz_xyz
+from regrasp_planner.scene import Body, Scene
+from scipy.spatial.transform import Rotation
+
+OPTIONS = GraspGenOptions()
+SIZE = np.array([0.048, 0.093, 0.176])
+
+
+def box(size=SIZE, name="box"):
+    return Body(name, (ConvexBody.box(size),), np.zeros(3), 0.5)
+
+
+def prism(radius=0.033, height=0.1, sides=24):
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ring = radius * np.stack([np.cos(angle), np.sin(angle)], 1)
+    points = np.concatenate([np.column_stack([ring, np.full(sides, z)]) for z in (-height / 2, height / 2)])
+    return Body("can", (ConvexBody.from_vertices(points),), np.zeros(3), 0.3)
+
+
+@pytest.fixture
+def scenes(build):
+    """A box lying on a narrow side on a table, and standing on a shelf board."""
+    table = build.box_obstacle("table", (1.2, 1.6, 0.05), (0.4, 0, -0.025))
+    board = build.box_obstacle("board", (0.3, 0.5, 0.02), (0.6, 0.4, 0.19))
+    roof = build.box_obstacle("roof", (0.3, 0.5, 0.02), (0.6, 0.4, 0.57))
+    post = build.box_obstacle("post", (0.06, 0.06, 0.1), (0.5, -0.42, 0.05))
+    world = (table, board, roof, post)
+    lying = build.pose((0.5, -0.3, SIZE[1] / 2), (np.pi / 2, 0, 0))
+    standing = build.pose((0.58, 0.4, 0.2 + SIZE[2] / 2), (0, 0, np.pi / 2))
+    return Scene("pick", lying, world), Scene("place", standing, world)
+
+
+def gap(first, first_pose, second, second_pose):
+    """Rigorous lower bound of the distance of two bodies' hulls."""
+    a, b = ConvexBody.stack([first]), ConvexBody.stack([second])
+    return float(certified_distance(a, jnp.asarray(first_pose)[None], b, jnp.asarray(second_pose)[None])[0])
+
+
+def gripper_bodies(gripper, pose, theta):
+    """All bodies of the gripper with their poses, straight from the robot's description."""
+    palm = [(gripper.palm[k], pose) for k in range(gripper.palm.batch_size)]
+    moved = np.asarray(gripper.finger_motion(theta))
+    fingers = [(gripper.fingers[k], wxyz_xyz(rigid(pose) * rigid(moved[k]))) for k in range(gripper.fingers.batch_size)]
+    return palm, fingers
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_derivatives_of_the_problem_match_finite_differences(panda, scenes, seed):
+    problem = grasp_problem(box(), scenes, panda.gripper, OPTIONS)
+    rng = np.random.default_rng(seed)
+    quaternion = rng.normal(size=4)
+    pose = np.concatenate([quaternion / np.linalg.norm(quaternion), rng.normal(scale=0.08, size=3)])
+    point = (jnp.asarray(pose), jnp.asarray([0.4]))
+    manifold = Product((SE3(length=0.08), Euclidean(1)))
+
+    def flat(xi):
+        value, equalities, inequalities = grasp_objective(manifold.retract(point, xi), problem)
+        return jnp.concatenate([value[None], equalities, inequalities])
+
+    evaluate = jax.jit(flat)
+    exact = np.asarray(jax.jit(jax.jacfwd(flat))(jnp.zeros(7)))
+    step = 1e-6
+    numeric = np.stack(
+        [(np.asarray(evaluate(step * e)) - np.asarray(evaluate(-step * e))) / (2 * step) for e in np.eye(7)], axis=1
+    )
+    # Obstacles that only pad the batch are a kilometre away, where rounding of the values alone is larger.
+    near = np.abs(np.asarray(evaluate(np.zeros(7)))) < 100
+    scale = np.maximum(np.abs(exact[near]).max(axis=1, keepdims=True), 1.0)
+    assert near.sum() > 10
+    np.testing.assert_array_less(np.abs(exact[near] - numeric[near]) / scale, 1e-5)
+
+
+def test_closing_axes_of_a_box_are_its_narrow_directions():
+    pieces = ConvexBody.stack([ConvexBody.box(SIZE)])
+    axes, widths = closing_axes(pieces, 0.08, OPTIONS)
+    assert len(axes) == 1
+    np.testing.assert_allclose(np.abs(axes[0]), [1, 0, 0], atol=1e-6)
+    # The DSF at the optimiser's sharpness is a little larger than the box, never smaller.
+    assert SIZE[0] <= widths[0] < 1.05 * SIZE[0]
+    axes, _ = closing_axes(pieces, 0.2, OPTIONS)
+    np.testing.assert_allclose(np.abs(axes), np.eye(3), atol=1e-6)
+
+
+def test_closing_axes_of_a_can_spread_round_it():
+    pieces = ConvexBody.stack(list(prism().pieces))
+    axes, _ = closing_axes(pieces, 0.08, OPTIONS)
+    assert 6 <= len(axes) <= OPTIONS.max_axes
+    np.testing.assert_allclose(axes[:, 2], 0, atol=1e-3)
+    directions = np.sort(np.degrees(np.arctan2(axes[:, 1], axes[:, 0])) % 180)
+    assert np.diff(directions, append=directions[0] + 180).max() < 45
+
+
+def test_starts_keep_the_palm_off_the_target(panda):
+    axes = np.array([[1.0, 0, 0]])
+    poses, thetas = grasp_starts(box().hull_vertices(), axes, panda.gripper, OPTIONS)
+    palm = reduce_gripper(panda.gripper).hand[0]
+    for pose, theta in zip(poses, thetas, strict=True):
+        assert gap(palm, pose, box().pieces[0], [1, 0, 0, 0, 0, 0, 0]) > -1e-3
+        assert theta == pytest.approx(SIZE[0] / 2)
+
+
+@pytest.mark.parametrize("body", [box(), prism()], ids=["box", "can"])
+def test_grasps_hold_the_target_between_opposite_faces(panda, build, body):
+    """In free space: pads touch, on opposite sides, and nothing else of the gripper does."""
+    free = Scene("free", build.pose(), ())
+    result = generate_grasps(body, [free], panda.gripper)
+    assert len(result.grasps) >= 4
+    gripper, piece, origin = panda.gripper, body.pieces[0], build.pose()
+    for grasp in result.grasps:
+        assert grasp.quality >= OPTIONS.quality_threshold
+        assert 0 <= grasp.theta <= grasp.opening <= 0.04
+        palm, fingers = gripper_bodies(gripper, grasp.pose, grasp.theta)
+        for k in np.asarray(gripper.contact):
+            assert abs(gap(piece, origin, *fingers[int(k)])) < 2.5e-3
+        assert min(gap(piece, origin, *part) for part in palm) > 0
+        palm, fingers = gripper_bodies(gripper, grasp.pose, grasp.opening)
+        assert min(gap(piece, origin, *part) for part in fingers) > 1e-3
+        # The line between the contacts is the closing axis, and normal to the surface there.
+        closing = Rotation.from_quat(grasp.pose[:4], scalar_first=True).apply(np.asarray(gripper.width_axis))
+        width = np.ptp(body.hull_vertices() @ closing)
+        assert width < 2 * grasp.theta + 2e-3
+
+
+def test_grasps_of_a_union_hold_in_each_scene(panda, scenes):
+    body = box()
+    result = generate_grasps(body, scenes, panda.gripper)
+    assert len(result.grasps) >= 3
+    margin = OPTIONS.margin * 0.08
+    for grasp in result.grasps:
+        for scene in scenes:
+            pose = grasp.gripper_pose(scene.target_pose)
+            palm, fingers = gripper_bodies(panda.gripper, pose, grasp.opening)
+            for obstacle in scene.obstacles:
+                for part in (*palm, *fingers):
+                    distance = gap(obstacle.body.pieces[0], obstacle.pose, *part)
+                    assert distance > margin - 3e-4, (scene.name, obstacle.body.name)
+
+
+def test_too_wide_and_enclosed_targets_are_told_apart(panda, build):
+    free = Scene("free", build.pose(), ())
+    wide = generate_grasps(box((0.09, 0.1, 0.12)), [free], panda.gripper)
+    assert (wide.grasps, wide.reason, wide.evaluations) == ((), "too wide", 0)
+    walls = tuple(
+        build.box_obstacle(f"wall{k}", np.where(np.arange(3) == k // 2, 0.02, 0.5), 0.1 * (-1) ** k * np.eye(3)[k // 2])
+        for k in range(6)
+    )
+    caged = generate_grasps(box((0.05, 0.05, 0.1)), [Scene("cage", build.pose(), walls)], panda.gripper)
+    assert (caged.grasps, caged.reason) == ((), "enclosed")
+    assert caged.evaluations > 0
+
+
+def test_same_problem_same_grasps(panda, scenes):
+    first, second = (generate_grasps(box(), scenes, panda.gripper) for _ in range(2))
+    assert first.evaluations == second.evaluations
+    for a, b in zip(first.grasps, second.grasps, strict=True):
+        np.testing.assert_array_equal(a.pose, b.pose)
