@@ -19,12 +19,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from regrasp_planner.arm_kinematics import ROTATION_LENGTH, pose_error, reach
+from regrasp_planner.clearance import configuration_clearance, gripper_clearance
 from regrasp_planner.collision import (
     CollisionArrays,
     CollisionModel,
     body_frames,
-    configuration_clearance,
-    gripper_clearance,
     gripper_pairs,
     pair_bounds,
     pair_clearances,

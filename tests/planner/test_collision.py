@@ -6,12 +6,11 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
+from regrasp_planner.clearance import configuration_clearance, gripper_clearance
 from regrasp_planner.collision import (
     batch_clearances,
     body_frames,
     collision_model,
-    configuration_clearance,
-    gripper_clearance,
     nearest_pairs,
     pair_bounds,
     pair_clearances,

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from regrasp_planner import ik_solve
 from regrasp_planner.arm_kinematics import gripper_jacobian, pose_error, reach, solve_positive
-from regrasp_planner.collision import collision_model, configuration_clearance
+from regrasp_planner.clearance import configuration_clearance
+from regrasp_planner.collision import collision_model
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.ik_solve import IkFailure, solve_ik
 from regrasp_planner.robot import forward_kinematics
