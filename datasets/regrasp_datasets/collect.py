@@ -132,15 +132,16 @@ def collect(options: CollectOptions, console: Console | None = None) -> int:
         if chosen.seeds:
             with console.status("Merging the episodes"):
                 workspace.publish(chosen.seeds, chosen.attempts)
-        if chosen.complete:
-            workspace.finish()
         if failure is not None:
             raise failure
+        pictured: dict[str, Any] = {}
+        if chosen.complete:
+            pictured = _pictures(options, workspace.plans, console)
+            workspace.finish()
         seconds = time.perf_counter() - started
-        pictured = _pictures(options, console) if chosen.complete else {}
         _report(options, chosen.attempts, seconds, pictured, console)
         if interrupted:
-            console.print(f"Go on with --resume; unfinished work lies in {workspace.folder}.")
+            console.print(f"Go on with --resume; unfinished work lies in {workspace.folder}.", soft_wrap=True)
             return 130
         if not chosen.complete:
             console.print(
@@ -198,6 +199,7 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
         rollout=RolloutConfig(options.env, env_kwargs_of(options), options.expert, options.strategy),
         shards=workspace.shards,
         logs=workspace.logs,
+        plans=workspace.plans if options.plan_picture is not None else None,
         codec=options.codec,
         keep_failures=options.keep_failures,
         timeout=options.episode_timeout,
@@ -218,7 +220,7 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
         return
     retried: set[int] = set()
     crashes = 0
-    console.print(f"Starting {options.workers} worker(s); the first plan compiles the planner, unless that is cached.")
+    console.print(f"Starting {options.workers} worker(s). The first plans compile the planner, once per machine.")
     with WorkerPool(config, options.workers) as pool, _progress(console) as progress:
         bar = progress.add_task(
             "episodes", total=options.episodes, completed=len(chosen.seeds), note="starting workers"
@@ -241,7 +243,7 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
                     again.append(attempt.seed)
                     continue
                 workspace.add(attempt)
-                progress.console.print(_line(attempt))
+                progress.console.print(_line(attempt), soft_wrap=True, highlight=False)
                 crashes = crashes + 1 if attempt.outcome == "crashed" else 0
                 if crashes == 3:
                     raise CollectError(f"Three attempts in a row crashed, the last: {attempt.reason} ({config.logs})")
@@ -281,12 +283,13 @@ def _line(attempt: Any) -> str:
     return words + (f" ({attempt.cause})" if attempt.cause else "")
 
 
-def _pictures(options: CollectOptions, console: Console) -> dict[str, Any]:
+def _pictures(options: CollectOptions, plans: Path, console: Console) -> dict[str, Any]:
     """Film and draw one episode: the first with a regrasp if there is one."""
     if options.video is None and options.plan_picture is None:
         return {}
     from regrasp_datasets.records import read_episodes
     from regrasp_datasets.replay import film_episode, picture_plan
+    from regrasp_datasets.workers import plan_path
 
     records = read_episodes(options.root)
     record = next((record for record in records if record.stages >= 2), records[0])
@@ -297,7 +300,7 @@ def _pictures(options: CollectOptions, console: Console) -> dict[str, Any]:
         made["video"] = str(options.video)
     if options.plan_picture is not None:
         with console.status("Drawing its plan"):
-            picture_plan(record, options.plan_picture)
+            picture_plan(record, options.plan_picture, plan_path(plans, record.seed))
         made["plan_picture"] = str(options.plan_picture)
     return made
 
@@ -332,7 +335,8 @@ def _report(
     regrasps = sum(record.stages >= 2 for record in records)
     console.print(
         f"{len(records)} episodes ({regrasps} with a regrasp), {frames} frames in {options.root}; "
-        f"{len(attempts)} seeds tried; {seconds:.0f} s"
+        f"{len(attempts)} seeds tried; {seconds:.0f} s",
+        soft_wrap=True,
     )
     for name in ("video", "plan_picture"):
         if name in pictured:

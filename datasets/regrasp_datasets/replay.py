@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import pickle
 import sys
 import time
 from dataclasses import asdict, dataclass
@@ -226,12 +227,14 @@ def film_episode(root: Path, record: EpisodeRecord, path: Path) -> None:
         env.close()
 
 
-def picture_plan(record: EpisodeRecord, path: Path) -> None:
-    """Plan an episode's scene again and draw the plan.
+def picture_plan(record: EpisodeRecord, path: Path, stored: Path) -> None:
+    """Draw the plan of an episode.
 
     Args:
         record: of the episode.
         path: PNG file to write; its folder is made.
+        stored: pickle of the plan, written by this very collection. Without it the scene is planned again, which
+            takes longer and comes to the same.
 
     Raises:
         RolloutError: the expert finds no plan now, although it did when the episode was recorded.
@@ -242,11 +245,15 @@ def picture_plan(record: EpisodeRecord, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         env.reset(seed=record.seed)
-        config = RolloutConfig(record.env_id, record.env_kwargs, record.expert, record.strategy)
-        expert = make_expert(config, env)
-        if not expert.reset():
-            raise RolloutError(f"No plan for seed {record.seed} any more: {expert.failure}")
-        save_plan_picture(base_env(env), expert.plan, path)
+        if stored.exists():
+            plan = pickle.loads(stored.read_bytes())
+        else:
+            config = RolloutConfig(record.env_id, record.env_kwargs, record.expert, record.strategy)
+            expert = make_expert(config, env)
+            if not expert.reset():
+                raise RolloutError(f"No plan for seed {record.seed} any more: {expert.failure}")
+            plan = expert.plan
+        save_plan_picture(base_env(env), plan, path)
     finally:
         env.close()
 

@@ -67,7 +67,7 @@ class Rollout:
         steps: one per step of the environment.
         attempt: what became of it.
         task: the task in words.
-        planned_stages: stages of the first plan.
+        plan: the expert's first plan.
         initial_state_sha256: digest of the physics state after the reset.
         final_state_sha256: digest of the physics state after the last step.
     """
@@ -75,7 +75,7 @@ class Rollout:
     steps: list[Step]
     attempt: Attempt
     task: str
-    planned_stages: int
+    plan: Any
     initial_state_sha256: str
     final_state_sha256: str
 
@@ -184,7 +184,7 @@ def run_expert(env: gym.Env, config: RolloutConfig, seed: int, *, need_regrasp: 
         steps=steps,
         attempt=attempt,
         task=task,
-        planned_stages=planned_stages,
+        plan=expert.plan,
         initial_state_sha256=initial_state,
         final_state_sha256=digest_of(env),
     )

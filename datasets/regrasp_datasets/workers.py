@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
@@ -26,6 +27,11 @@ STOP_SECONDS = 5.0
 """How long a worker may take to end when asked, before it is killed."""
 
 
+def plan_path(folder: Path, seed: int) -> Path:
+    """Where the plan of an episode is left for whoever draws it."""
+    return folder / f"seed-{seed:08d}.pickle"
+
+
 class WorkerError(Exception):
     """No worker can do its work. The message says why."""
 
@@ -38,6 +44,7 @@ class WorkerConfig:
         rollout: who acts where.
         shards: folder the episodes go to.
         logs: folder for what the workers print.
+        plans: folder for the plans of the saved episodes, or None.
         codec: video codec.
         keep_failures: save executed episodes that did not succeed, too.
         timeout: seconds an episode may take before its worker is killed.
@@ -46,6 +53,7 @@ class WorkerConfig:
     rollout: RolloutConfig
     shards: Path
     logs: Path
+    plans: Path | None
     codec: str
     keep_failures: bool
     timeout: float
@@ -227,6 +235,8 @@ def _attempt(env: gym.Env, config: WorkerConfig, seed: int, need_regrasp: bool) 
             robot_type=base_env(env).planner_robot.name,
             codec=config.codec,
         )
+        if config.plans is not None:
+            plan_path(config.plans, seed).write_bytes(pickle.dumps(result.plan))
         return replace(result.attempt, saved=True)
     except Exception as error:
         # One broken episode must not end a long collection; the log has the traceback, the table the reason.
@@ -245,7 +255,7 @@ def _record(config: RolloutConfig, rollout: Rollout, seconds: float) -> EpisodeR
         strategy=config.strategy,
         target=attempt.target,
         task=rollout.task,
-        planned_stages=rollout.planned_stages,
+        planned_stages=len(rollout.plan.stages),
         stages=attempt.stages,
         frames=attempt.frames,
         success=rollout.success,

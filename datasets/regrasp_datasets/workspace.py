@@ -44,6 +44,8 @@ class Workspace:
         resume: go on with what is there.
 
     Attributes:
+        folder: where episodes lie until they are in the dataset.
+        shards, logs, plans: folders in it, for episodes, for what workers print and for plans to be drawn.
         attempts: what became of each seed so far.
         published: seeds of the episodes in the dataset at ``root``.
 
@@ -57,6 +59,7 @@ class Workspace:
         self.folder = root.with_name(root.name + ".collecting")
         self.shards = self.folder / "episodes"
         self.logs = self.folder / "logs"
+        self.plans = self.folder / "plans"
         self._settings = settings
         if not resume:
             if root.exists():
@@ -76,6 +79,7 @@ class Workspace:
             raise WorkspaceError(f"Another regrasp-collect is writing to {root}.") from error
         self.shards.mkdir(exist_ok=True)
         self.logs.mkdir(exist_ok=True)
+        self.plans.mkdir(exist_ok=True)
         try:
             self.attempts, self.published = self._load()
         except BaseException:

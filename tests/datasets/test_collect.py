@@ -156,6 +156,20 @@ def test_replay_notices_a_changed_action(copied, tmp_path):
     assert replay(ReplayOptions(copied, episodes=(0,), tolerance=1e-2), quiet()) == 0
 
 
+@pytest.mark.slow
+def test_expert_s_demonstrations_replay(tmp_path):
+    """The planner itself, one episode from seed to picture; seed 3 needs no regrasp."""
+    root, film, picture = tmp_path / "planned", tmp_path / "film.mp4", tmp_path / "plan.png"
+    made = CollectOptions(root, episodes=1, seed=3, max_attempts=4, image_size=64, video=film, plan_picture=picture)
+    assert collect(made, quiet()) == 0
+    (record,) = read_episodes(root)
+    assert record.success
+    assert record.planning_seconds > 0
+    assert video_frames(film) == record.frames + 1
+    assert picture.stat().st_size > 10_000
+    assert replay(ReplayOptions(root), quiet()) == 0
+
+
 def test_replay_films_an_episode(dataset, tmp_path):
     film = tmp_path / "film.mp4"
     assert replay(ReplayOptions(dataset, episodes=(1,), video=film), quiet()) == 0

@@ -27,7 +27,7 @@ def config(**changes):
     return EnvConfig.get_choice_class("regrasp")(image_size=64, **changes)
 
 
-@pytest.mark.parametrize("use_async", [False, True])
+@pytest.mark.parametrize("use_async", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_batch_runs(use_async):
     envs = make_env(config(episode_length=3), n_envs=2, use_async_envs=use_async)
     vector = envs["regrasp"][0]
