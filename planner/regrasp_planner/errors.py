@@ -11,9 +11,5 @@ class GeometryError(RegraspError, ValueError):
     """A shape that is no usable convex body: wrong array shape, not finite, too few points, or without volume."""
 
 
-class PoseError(RegraspError, ValueError):
-    """A pose array of the wrong shape, not finite, or with a quaternion that is not of unit length."""
-
-
 class TaskError(RegraspError, ValueError):
     """A task that can not be planned as it stands: a bad pose, an empty target, a start outside the limits."""
