@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import gymnasium
 import numpy as np
 from jaxtyping import Float
-from regrasp_planner import Failure, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy, plan
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.errors import OptionError
+from regrasp_planner import Failure, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy, plan
 
 Command = Float[np.ndarray, " n+1"]
 Script = Generator[Command, None, Failure | None]

@@ -10,12 +10,12 @@ import imageio.v3 as iio
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
-from regrasp_planner import Grasp, Plan, SegmentKind, Stage, Trajectory
-from regrasp_planner.pose import rigid, wxyz_xyz
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.expert import PlannerExpert
 from regrasp_gym.scenes.scene import Pose
+from regrasp_planner import Grasp, Plan, SegmentKind, Stage, Trajectory
+from regrasp_planner.pose import rigid, wxyz_xyz
 
 Picture = UInt8[np.ndarray, "H W 3"]
 

@@ -29,8 +29,8 @@ from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Scene
 
-OBSTACLE_BUCKETS = (24, 48)
-VERTEX_BUCKETS = (32, 64)
+OBSTACLE_BUCKETS = (16, 32, 64)
+MAX_VERTICES = 32
 SCREEN_BATCH = 48
 FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
 """Pose of the bodies that pad a batch of obstacles."""
@@ -297,29 +297,30 @@ def grasp_starts(
     frame = np.stack([np.asarray(gripper.width_axis), np.asarray(gripper.approach_axis)], axis=1)
     frame = np.column_stack([frame, np.cross(frame[:, 0], frame[:, 1])])
     depth_margin = options.margin * float(gripper.max_opening)
-    poses, thetas = [], []
+    turns = np.arange(options.angles) * (2 * np.pi / options.angles)
+    half_opening = 0.5 * float(gripper.max_opening)
+    frames: list[np.ndarray] = []
+    origins: list[np.ndarray] = []
+    thetas: list[float] = []
     for axis in axes:
         high, low = (hull @ axis).max(), (hull @ axis).min()
-        level = 0.5 * (high + low)
         first = _perpendicular(axis)
-        second = np.cross(axis, first)
-        for turn in np.arange(options.angles) * (2 * np.pi / options.angles):
-            approach = np.cos(turn) * first + np.sin(turn) * second
-            across = np.cross(axis, approach)
-            along, sideways = hull @ approach, hull @ across
-            middle = 0.5 * (along.max() + along.min())
-            # Depth of the grasp centre along the approach, limited by the palm touching the nearest point.
-            depth = min(middle, along.min() + reduced.finger_length - depth_margin)
-            half = 0.5 * (sideways.max() - sideways.min())
-            mid = 0.5 * (sideways.max() + sideways.min())
-            offsets = (0.0,) if half < 0.5 * float(gripper.max_opening) else (0.0, 0.45 * half, -0.45 * half)
+        approach = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(axis, first))
+        across = np.cross(axis, approach)
+        along, sideways = hull @ approach.T, hull @ across.T
+        # Depth of the grasp centre along the approach, limited by the palm touching the nearest point.
+        middle = 0.5 * (along.max(0) + along.min(0))
+        depth = np.minimum(middle, along.min(0) + reduced.finger_length - depth_margin)
+        center, half = 0.5 * (sideways.max(0) + sideways.min(0)), 0.5 * (sideways.max(0) - sideways.min(0))
+        for k in range(options.angles):
+            offsets = (0.0,) if half[k] < half_opening else (0.0, 0.45 * half[k], -0.45 * half[k])
             for offset in offsets:
-                origin = level * axis + depth * approach + (mid + offset) * across
-                world = np.column_stack([axis, approach, across])
-                rotation = Rotation.from_matrix(world @ frame.T)
-                poses.append(np.concatenate([rotation.as_quat(scalar_first=True), origin]))
+                level = 0.5 * (high + low) * axis
+                origins.append(level + depth[k] * approach[k] + (center[k] + offset) * across[k])
+                frames.append(np.column_stack([axis, approach[k], across[k]]) @ frame.T)
                 thetas.append(_theta_of_width(gripper, high - low))
-    return np.array(poses).reshape(-1, 7), np.array(thetas)
+    quaternions = Rotation.from_matrix(np.array(frames)).as_quat(scalar_first=True)
+    return np.concatenate([quaternions, np.array(origins)], axis=1), np.array(thetas)
 
 
 def _theta_of_width(gripper: Gripper, width: float) -> float:
@@ -360,7 +361,8 @@ def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Ar
             np.stack(np.meshgrid([0, 1, 2], obstacles, indexing="ij"), -1).reshape(-1, 2),
         ]
     )
-    of_pair = separation(second[pairs[:, 1]], second_poses[pairs[:, 1]], first[pairs[:, 0]], first_poses[pairs[:, 0]])
+    a, b = pairs[:, 1], pairs[:, 0]
+    of_pair = separation(second[a], second_poses[a], first[b], first_poses[b], thorough=False)
     touching = of_pair.distance[: 2 * n_pieces].reshape(2, n_pieces)
     piece = jax.lax.stop_gradient(jnp.argmin(touching, axis=1))
     contact = jnp.take_along_axis(touching, piece[:, None], axis=1)[:, 0]
@@ -458,9 +460,10 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
     padding = _bucket(max(len(bodies), 1), OBSTACLE_BUCKETS) - len(bodies)
     bodies = bodies + [ConvexBody.box((0.01, 0.01, 0.01))] * padding
     poses = np.concatenate([poses, np.tile(FAR_AWAY, (padding, 1))])
-    pieces, obstacles = ConvexBody.stack(list(target.pieces)), ConvexBody.stack(bodies)
-    vertices = _bucket(max(pieces.vertices.shape[-2], obstacles.vertices.shape[-2]), VERTEX_BUCKETS)
-    pieces, obstacles = pieces.padded_to(vertices=vertices), obstacles.padded_to(vertices=vertices)
+    pieces, obstacles = (
+        ConvexBody.stack([piece.thinned(MAX_VERTICES) for piece in some]).padded_to(vertices=MAX_VERTICES)
+        for some in (target.pieces, bodies)
+    )
     return GraspProblem(
         pieces=pieces.with_sharpness(options.sharpness),
         center=jnp.asarray(target.center_of_mass, float),

@@ -9,12 +9,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_planner.collision import CollisionModel, collision_model
+from regrasp_planner.collision import IDENTITY, CollisionModel, collision_model
 from regrasp_planner.grasp_gen import Grasp
 from regrasp_planner.ik_solve import solve_ik
 from regrasp_planner.path_plan import PathOptions, PathResult, cartesian_path, plan_path
@@ -53,7 +54,7 @@ class MotionOptions:
     drop: float = 0.002
     solutions: int = 3
     joins: int = 3
-    path: PathOptions = field(default_factory=PathOptions)
+    path: PathOptions = field(default_factory=lambda: PathOptions(contact_tolerance=3e-3, search_rounds=60))
 
 
 @dataclass
@@ -85,31 +86,40 @@ class Surroundings:
     def __init__(self, robot: Robot, target: Body, obstacles: Sequence[Obstacle], options: MotionOptions):
         self.robot, self.target, self.options = robot, target, options
         self.obstacles = tuple(obstacles)
-        self._empty: dict[bytes, CollisionModel] = {}
+        self._models: dict[tuple[str, bytes], CollisionModel] = {}
 
     def empty_handed(self, target_pose: Pose) -> CollisionModel:
         """The target is one more obstacle, which the gripper may come close to."""
-        key = np.asarray(target_pose, float).tobytes()
-        if key not in self._empty:
-            options = self.options
-            self._empty[key] = collision_model(
-                self.robot,
-                (*self.obstacles, Obstacle(self.target, np.asarray(target_pose, float))),
-                margin_world=options.margin_world,
-                overrides={("gripper", self.target.name): options.margin_target},
-            )
-        return self._empty[key]
+        name = self.target.name
+        key = (name, np.asarray(target_pose, float).tobytes())
+        if key not in self._models:
+            self._models[key] = self._empty.moved(name, target_pose)
+        return self._models[key]
 
     def holding(self, grasp: Grasp) -> CollisionModel:
         """The target moves with the gripper."""
-        options = self.options
+        key = ("held", grasp.pose.tobytes())
+        if key not in self._models:
+            self._models[key] = self._full.moved("held", wxyz_xyz(rigid(grasp.pose).inv()))
+        return self._models[key]
+
+    @cached_property
+    def _empty(self) -> CollisionModel:
+        return collision_model(
+            self.robot,
+            (*self.obstacles, Obstacle(self.target, IDENTITY)),
+            margin_world=self.options.margin_world,
+            overrides={("gripper", self.target.name): self.options.margin_target},
+        )
+
+    @cached_property
+    def _full(self) -> CollisionModel:
         return collision_model(
             self.robot,
             self.obstacles,
             held=self.target.pieces,
-            held_pose=wxyz_xyz(rigid(grasp.pose).inv()),
-            margin_world=options.margin_world,
-            margin_held=options.margin_held,
+            margin_world=self.options.margin_world,
+            margin_held=self.options.margin_held,
         )
 
 
@@ -174,12 +184,11 @@ class StageMotion:
         self.surroundings, self.clock, self.seed = surroundings, clock, seed
         self.options = surroundings.options
         self._axis = np.asarray(surroundings.robot.gripper.approach_axis)
-        self._holding: dict[bytes, CollisionModel] = {}
 
     def takes(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Approach and lift, for the target standing at ``pose``."""
         options = self.options
-        empty, holding = self.surroundings.empty_handed(pose), self._model(grasp)
+        empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
         back = self._withdrawals(grasp.gripper_pose(pose))
         lifts = [np.array([0.0, 0.0, height]) for height in options.lift]
         ways: list[Reach] = []
@@ -199,7 +208,7 @@ class StageMotion:
     def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Lowering and retreat, for the target let go at ``pose``."""
         options = self.options
-        empty, holding = self.surroundings.empty_handed(pose), self._model(grasp)
+        empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
         back = self._withdrawals(grasp.gripper_pose(pose))
         raises = [np.array([0.0, 0.0, height]) for height in options.lower]
         ways: list[Reach] = []
@@ -238,7 +247,7 @@ class StageMotion:
         last = takes.failure or puts.failure
         if last is not None:
             return last
-        empty, holding = self.surroundings.empty_handed(start_pose), self._model(grasp)
+        empty, holding = self.surroundings.empty_handed(start_pose), self.surroundings.holding(grasp)
         closed = float(self.surroundings.robot.gripper.lower)
         for take, put in _nearest_first(takes.ways, puts.ways)[: self.options.joins]:
             transfer = self._path(holding, take.outward.goal, put.inward.start, grasp.theta)
@@ -275,12 +284,6 @@ class StageMotion:
         if 0.3 < size < 0.98:
             directions.append(level / size)
         return [length * direction for length in self.options.approach for direction in directions]
-
-    def _model(self, grasp: Grasp) -> CollisionModel:
-        key = grasp.pose.tobytes()
-        if key not in self._holding:
-            self._holding[key] = self.clock.time("path_plan", lambda: self.surroundings.holding(grasp))
-        return self._holding[key]
 
     def _line(
         self,

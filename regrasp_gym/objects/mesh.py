@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
-from regrasp_planner import GeometryError
 
 from regrasp_gym.looks import Look, Rgba
 from regrasp_gym.objects.model import MAX_HULL_VERTICES, ObjectModel, solid
+from regrasp_planner import GeometryError
 
 if TYPE_CHECKING:
     import trimesh

@@ -11,6 +11,7 @@ import jaxlie
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
+
 from regrasp_planner import Arm, ConvexBody, Gripper, RegraspError, Robot
 
 COLLISION_GROUP = 3

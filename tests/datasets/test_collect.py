@@ -14,6 +14,9 @@ pytest.importorskip("lerobot")
 
 import gymnasium as gym
 import pyarrow.parquet as pq
+from scripted_experts import STEPS
+
+import regrasp_gym  # noqa: F401
 from regrasp_datasets.collect import CollectError, CollectOptions, collect
 from regrasp_datasets.features import ACTION, DONE, ENVIRONMENT_STATE, SEED, STAGE_INDEX, STATE
 from regrasp_datasets.records import EPISODES_FILE, DatasetError, read_attempts, read_episodes
@@ -22,9 +25,6 @@ from regrasp_datasets.rollout import RolloutError
 from regrasp_datasets.verify import InvalidDatasetError, problems, require_valid, video_frames
 from regrasp_datasets.workers import WorkerError
 from regrasp_datasets.workspace import WorkspaceError
-from scripted_experts import STEPS
-
-import regrasp_gym  # noqa: F401
 
 pytestmark = pytest.mark.lerobot
 

@@ -14,10 +14,11 @@ import pytest
 
 pytest.importorskip("lerobot")
 
+from rich.console import Console
+
 from regrasp_datasets.records import read_episodes
 from regrasp_datasets.replay import ReplayOptions, replay
 from regrasp_datasets.verify import require_valid
-from rich.console import Console
 
 pytestmark = [pytest.mark.lerobot, pytest.mark.slow]
 

@@ -12,6 +12,7 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import NEW_ROLLOUT_OPTION, env_to_policy_features, preprocess_observation
 from lerobot.utils.feature_utils import dataset_to_policy_features
+
 from regrasp_datasets.features import features_of
 from regrasp_datasets.rollout import make_env as make_one
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+
 from regrasp_datasets.records import (
     ATTEMPTS_FILE,
     EPISODES_FILE,

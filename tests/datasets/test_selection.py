@@ -6,6 +6,7 @@ import random
 
 from hypothesis import given
 from hypothesis import strategies as st
+
 from regrasp_datasets.records import Attempt
 from regrasp_datasets.selection import select
 

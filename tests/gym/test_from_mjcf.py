@@ -9,11 +9,11 @@ import jaxlie
 import mujoco
 import numpy as np
 import pytest
-from regrasp_planner import separation
-from regrasp_planner.robot import Robot, body_poses, forward_kinematics, robot_bodies
 
 from regrasp_gym.robots import panda
 from regrasp_gym.robots.from_mjcf import RobotModelError, geom_body, robot_from_model
+from regrasp_planner import separation
+from regrasp_planner.robot import Robot, body_poses, forward_kinematics, robot_bodies
 
 JAWS = """
 <mujoco>

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from regrasp_planner import GeometryError
 
 from regrasp_gym import physics
 from regrasp_gym.objects.mesh import MeshError, MeshWarning, object_from_mesh
+from regrasp_planner import GeometryError
 
 CUBE = trimesh.creation.box((0.04, 0.06, 0.1))
 

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import jaxlie
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.robot import Arm, Gripper, Robot
 from regrasp_planner.scene import Body, Obstacle
-from scipy.spatial.transform import Rotation
 
 HALF_PI = np.pi / 2
 

@@ -8,6 +8,7 @@ import pytest
 import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner.optim import SE3, Euclidean, Product, Sphere, Status, augmented_lagrangian
 
 NONE = jnp.zeros(0)

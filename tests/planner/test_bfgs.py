@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner.optim import bfgs_update
 
 seeds = st.integers(0, 2**31 - 1)

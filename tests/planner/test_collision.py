@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
+
 from regrasp_planner.clearance import configuration_clearance, gripper_clearance
 from regrasp_planner.collision import (
     batch_clearances,

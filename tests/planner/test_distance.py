@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner import ConvexBody, certified_distance, separation, signed_distance
 from regrasp_planner.geometry import contact_direction, qhull, support_point
 

@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp_gen import (
@@ -18,7 +20,6 @@ from regrasp_planner.grasp_gen import (
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.scene import Body, Scene
-from scipy.spatial.transform import Rotation
 
 OPTIONS = GraspGenOptions()
 SIZE = np.array([0.048, 0.093, 0.176])

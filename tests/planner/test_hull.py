@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+
 from regrasp_planner import GeometryError
 from regrasp_planner.geometry import facets, mass_properties, minimal_width, qhull
 

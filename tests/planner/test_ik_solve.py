@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner import ik_solve
 from regrasp_planner.arm_kinematics import gripper_jacobian, pose_error, reach, solve_positive
 from regrasp_planner.clearance import configuration_clearance

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner.optim import SE3, Euclidean, Product, Sphere
 from regrasp_planner.optim.manifold import tangent_basis
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner.path_optimizer import Rows, bspline, fit_control_points, optimize_path, smoothness_form
 
 LOWER, UPPER = np.full(2, -3.0), np.full(2, 3.0)

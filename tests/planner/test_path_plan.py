@@ -3,6 +3,9 @@ import jax
 import numpy as np
 import pytest
 from jaxlie import SE3
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
 from regrasp_planner.collision import body_frames, collision_model
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.path_clearance import PathClearance
@@ -12,8 +15,6 @@ from regrasp_planner.robot import forward_kinematics
 from regrasp_planner.scene import Body, Obstacle
 from regrasp_planner.straight_line import ArmKinematics, follow_line
 from regrasp_planner.trajectory import Trajectory, interpolating_path, time_parametrize
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 THETA = 0.03
 STANDS_ON = {("link1", "table"): None}

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from regrasp_planner.path_search import edges_free, rrt_connect, shortcut
 
 LOWER, UPPER = np.full(3, -2.0), np.full(3, 2.5)

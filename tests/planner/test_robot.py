@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from regrasp_planner.robot import body_poses, check_configuration, forward_kinematics, robot_bodies
 from scipy.spatial.transform import Rotation
+
+from regrasp_planner.robot import body_poses, check_configuration, forward_kinematics, robot_bodies
 
 frames_of = jax.jit(forward_kinematics)
 seeds = st.integers(0, 2**31 - 1)

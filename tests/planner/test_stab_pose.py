@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner import GeometryError, stable_poses
 from regrasp_planner.geometry import facets, mass_properties, qhull
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner import ConvexBody, GeometryError
 from regrasp_planner.geometry import exact_support_value, support_hessian, support_point, support_value
 

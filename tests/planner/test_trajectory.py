@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner.path_optimizer import bspline
 from regrasp_planner.trajectory import Trajectory, interpolating_path, time_parametrize
 

@@ -9,6 +9,7 @@ import pytest
 import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from regrasp_planner.optim import SE3, Euclidean, Product, Sphere, Status, truncated_cg, trust_region
 
 both_models = pytest.mark.parametrize("hessian", ["exact", "bfgs"])

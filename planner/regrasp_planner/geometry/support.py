@@ -14,13 +14,16 @@ support function: S ≥ 1. Distances taken from it are therefore conservative.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from regrasp_planner.errors import GeometryError
@@ -79,12 +82,9 @@ class ConvexBody:
         center = solid_center(kept)
         padded = np.tile(center, (bucket_size(len(kept)), 1))
         padded[: len(kept)] = kept
-        return cls(
-            jnp.asarray(padded),
-            jnp.asarray(center),
-            jnp.asarray(float(radius) + slack),
-            jnp.asarray(_checked_sharpness(sharpness)),
-        )
+        # NumPy on the host: bodies are put together many times before they reach a compiled function.
+        leaves: Any = padded, center, np.asarray(float(radius) + slack), np.asarray(_checked_sharpness(sharpness))
+        return cls(*leaves)
 
     @classmethod
     def box(
@@ -147,6 +147,7 @@ class ConvexBody:
         """The same body at another sharpness p (a number, or a traced scalar; whole numbers in 3…2047)."""
         if isinstance(sharpness, int | float):
             sharpness = _checked_sharpness(sharpness)
+            return replace(self, sharpness=np.full(np.shape(self.radius), sharpness))
         return replace(self, sharpness=jnp.broadcast_to(jnp.asarray(sharpness, float), self.radius.shape))
 
     def transformed(self, pose: jaxlie.SE3) -> ConvexBody:
@@ -158,6 +159,21 @@ class ConvexBody:
             vertices=jnp.einsum("...ij,...vj->...vi", rotation, self.vertices) + shift[..., None, :],
             center=jnp.einsum("...ij,...j->...i", rotation, self.center) + shift,
         )
+
+    def thinned(self, max_vertices: int) -> ConvexBody:
+        """A single body with at most ``max_vertices`` vertices that contains this one (itself if it has no more).
+
+        Made once for each body: it is asked for in every scene the body stands in.
+        """
+        if self.vertices.shape[-2] <= max_vertices:
+            return self
+        key = (id(self), max_vertices)
+        if key not in _THINNED:
+            _THINNED[key] = ConvexBody.from_vertices(
+                self.hull_vertices(), float(self.radius), float(self.sharpness), max_vertices
+            )
+            weakref.finalize(self, _THINNED.pop, key, None)
+        return _THINNED[key]
 
     def hull_vertices(self) -> Float[np.ndarray, "N 3"]:
         """Vertices of a single body without the padding, (N, 3) metres, on the host; the sweep is not included."""
@@ -183,14 +199,16 @@ class ConvexBody:
             if extra < 0:
                 raise GeometryError(f"body has {body.vertices.shape[-2]} vertices, more than the {vertices} to pad to")
             if extra:
-                fill = jnp.repeat(body.center[..., None, :], extra, axis=-2)
-                body = replace(body, vertices=jnp.concatenate([body.vertices, fill], axis=-2))
+                xp = _library([body])
+                fill = xp.repeat(body.center[..., None, :], extra, axis=-2)
+                body = replace(body, vertices=xp.concatenate([body.vertices, fill], axis=-2))
         if batch is not None:
             extra = batch - body.batch_size
             if extra < 0:
                 raise GeometryError(f"batch holds {body.batch_size} bodies, more than the {batch} to pad to")
             if extra:
-                body = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]), body)
+                xp = _library([body])
+                body = jax.tree.map(lambda leaf: xp.concatenate([leaf, xp.repeat(leaf[-1:], extra, axis=0)]), body)
         return body
 
     @staticmethod
@@ -213,7 +231,18 @@ class ConvexBody:
             raise GeometryError("no bodies to put together; give at least one")
         widest = max(batch.vertices.shape[-2] for batch in batches)
         padded = [batch.padded_to(vertices=widest) for batch in batches]
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)
+        xp = _library(padded)
+        return jax.tree.map(lambda *leaves: xp.concatenate(leaves), *padded)
+
+
+_THINNED: dict[tuple[int, int], ConvexBody] = {}
+"""Results of `ConvexBody.thinned` by identity of the body, dropped with it."""
+
+
+def _library(bodies: Sequence[ConvexBody]) -> Any:
+    """NumPy for bodies on the host, so that putting them together compiles nothing; JAX under a transformation."""
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(list(bodies)))
+    return jnp if traced else np
 
 
 def support_value(body: ConvexBody, x: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
