@@ -24,7 +24,7 @@ from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.robot import Robot, body_poses, forward_kinematics, robot_bodies
 from regrasp_planner.scene import Obstacle
 
-MAX_VERTICES = 32
+MAX_VERTICES = 64
 """Bodies with more are thinned outwards (0.6 mm on a can): an arm needs no finer shapes, and time goes with them."""
 WORLD_BUCKETS = (16, 32, 64, 128, 256)
 HELD_BUCKETS = (1, 4, 16, 64)

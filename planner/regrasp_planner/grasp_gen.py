@@ -30,7 +30,7 @@ from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Scene
 
 OBSTACLE_BUCKETS = (16, 32, 64)
-MAX_VERTICES = 32
+MAX_VERTICES = 48
 SCREEN_BATCH = 48
 FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
 """Pose of the bodies that pad a batch of obstacles."""
@@ -83,7 +83,7 @@ class GraspGenOptions:
     max_starts: int = 144
     refined: int = 12
     max_evaluations: int = 16
-    sharpness: int = 48
+    sharpness: int = 96
     width_starts: int = 48
 
 

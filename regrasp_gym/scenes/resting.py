@@ -42,6 +42,13 @@ class RestingPose:
     margin: float
     footprint: Float[np.ndarray, "K 2"]
 
+    @property
+    def level_width(self) -> float:
+        """Least distance (metres) of two upright, parallel planes that hold the object as it lies."""
+        edges = np.roll(self.footprint, -1, axis=0) - self.footprint
+        normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
+        return float(np.ptp(self.footprint @ normals.T, axis=0).min())
+
 
 @lru_cache(maxsize=256)
 def resting_poses(model: ObjectModel) -> tuple[RestingPose, ...]:

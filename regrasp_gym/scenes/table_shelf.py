@@ -98,7 +98,7 @@ class TableShelfConfig:
     shelf_center: tuple[float, float] = (0.46, 0.46)
     shelf_inside: tuple[float, float] = (0.42, 0.24)
     board_height: float = 0.16
-    shelf_clearance: float = 0.36
+    shelf_clearance: float = 0.42
     shelf_thickness: float = 0.015
     goal_gap: float = 0.015
     goal_depth: tuple[float, float] = (0.01, 0.05)
@@ -165,17 +165,24 @@ def check_target(model: ObjectModel, config: TableShelfConfig) -> None:
             f"target {model.name!r} is {1e3 * width:.0f} mm wide where it is thinnest; "
             f"the gripper takes at most {1e3 * limit:.0f} mm"
         )
-    if upright_pose(model) is None:
+    upright = upright_pose(model)
+    if upright is None:
         raise SceneError(f"target {model.name!r} does not stand upright by itself; choose one that does")
+    if upright.level_width > limit:
+        raise SceneError(
+            f"target {model.name!r} is {1e3 * upright.level_width:.0f} mm wide where it is thinnest as it stands "
+            f"upright; the gripper takes at most {1e3 * limit:.0f} mm"
+        )
 
 
 def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfScene:
     """The scene of a seed.
 
-    The target and the clutter lie on the table in random resting poses, drawn by landing probability, at random
-    yaw, and do not overlap seen from above (so neither do their hulls). On the shelf, upright objects at random
-    yaw stand around the goal. Another object is taken instead of one for which no free place is found in a bounded
-    number of tries, and where that does not help either there are fewer: a scene comes out for every seed.
+    The target and the clutter lie on the table in random resting poses, drawn by landing probability (the target's
+    among those in which the gripper fits over it), at random yaw, and do not overlap seen from above (so neither do
+    their hulls). On the shelf, upright objects at random yaw stand around the goal. Another object is taken instead
+    of one for which no free place is found in a bounded number of tries, and where that does not help either there
+    are fewer: a scene comes out for every seed.
 
     Args:
         seed: a non-negative integer.
@@ -193,7 +200,7 @@ def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfS
     pick = _Area(np.array(config.pick_center), 0.0, np.array(config.pick_size), 0.0, config.pick_gap)
     start = _place_target(rng, model, pick, config)
     n_table = int(rng.integers(config.table_clutter[0], config.table_clutter[1] + 1))
-    table = _scatter(rng, n_table, names, pick, lambda m: _draw_resting(rng, m, config.landing_weight))
+    table = _scatter(rng, n_table, names, pick, lambda m: _draw_resting(rng, resting_poses(m), config.landing_weight))
 
     board = _shelf_area(config)
     goal = _place_goal(rng, model, board, config)
@@ -273,7 +280,10 @@ class _Draws:
 
 
 def _place_target(rng: np.random.Generator, model: ObjectModel, area: _Area, config: TableShelfConfig) -> PlacedObject:
-    resting = _draw_resting(rng, model, config.landing_weight)
+    # As it lies, the gripper has to fit over it: an object flat on its largest face can not be taken by any plan.
+    limit = config.max_opening - config.opening_margin
+    poses = [pose for pose in resting_poses(model) if pose.level_width <= limit]
+    resting = _draw_resting(rng, poses, config.landing_weight)
     draws = area.draw(rng, resting)
     draws.inside &= np.linalg.norm(area.center + draws.positions, axis=1) <= config.pick_reach
     pose = area.put(resting, draws)
@@ -316,8 +326,7 @@ def _scatter(
     return tuple(placed)
 
 
-def _draw_resting(rng: np.random.Generator, model: ObjectModel, weight: float) -> RestingPose:
-    poses = resting_poses(model)
+def _draw_resting(rng: np.random.Generator, poses: Sequence[RestingPose], weight: float) -> RestingPose:
     shares = np.array([pose.probability for pose in poses]) ** weight
     return poses[int(rng.choice(len(poses), p=shares / shares.sum()))]
 

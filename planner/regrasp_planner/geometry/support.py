@@ -161,7 +161,7 @@ class ConvexBody:
         )
 
     def thinned(self, max_vertices: int) -> ConvexBody:
-        """A single body with at most ``max_vertices`` vertices that contains this one (itself if it has no more).
+        """A single body that contains this one, in an array of at most ``max_vertices`` vertices.
 
         Made once for each body: it is asked for in every scene the body stands in.
         """
@@ -169,9 +169,12 @@ class ConvexBody:
             return self
         key = (id(self), max_vertices)
         if key not in _THINNED:
-            _THINNED[key] = ConvexBody.from_vertices(
-                self.hull_vertices(), float(self.radius), float(self.sharpness), max_vertices
-            )
+            points = self.hull_vertices()
+            body = self
+            if len(points) > max_vertices:
+                body = ConvexBody.from_vertices(points, float(self.radius), float(self.sharpness), max_vertices)
+            # The rest is padding.
+            _THINNED[key] = replace(body, vertices=body.vertices[:max_vertices])
             weakref.finalize(self, _THINNED.pop, key, None)
         return _THINNED[key]
 
