@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -144,12 +145,12 @@ class _Planner:
             attempts = 0
             for grasp, picks, places in self._reachable_at_both(grasps, start.target_pose, release):
                 takes = self.motion.takes(kind, grasp, start.target_pose, picks)
-                puts = self.motion.puts(kind, grasp, release, places) if takes.ways else takes
+                puts = self.motion.puts(kind, grasp, release, places)
                 stage = self.motion.join(kind, grasp, start.target_pose, release, takes, puts, self.task.start)
                 if isinstance(stage, Stage):
                     return (stage,)
                 failure = _furthest(failure or stage, stage)
-                attempts += bool(takes.ways and puts.ways)
+                attempts += bool(takes and puts)
                 if attempts == self.options.motion_attempts:
                     break
             failure = failure or self.unreachable(kind)
@@ -198,11 +199,12 @@ class _Planner:
         home = np.asarray(self.robot.home)
         return self.clock.time("ik_solve", lambda: solve_ends(self.surroundings, grasps, target_pose, home, self.seed))
 
-    def unreachable(self, kind: StageKind) -> Failure:
-        """No configuration at all."""
+    def unreachable(self, kind: StageKind, ends: Sequence[Ends] = ()) -> Failure:
+        """No configuration at all; the constraint is the one that most of the ``ends`` fail by."""
         name = self.task.target.name
         message = f"no collision-free configuration of the arm reaches the grasps of {name!r} where they are needed"
-        return Failure(Reason.UNREACHABLE, kind, "inverse kinematics", message)
+        constraints = Counter(end.constraint for end in ends if end.constraint).most_common(1)
+        return Failure(Reason.UNREACHABLE, kind, constraints[0][0] if constraints else "inverse kinematics", message)
 
     def takes(self, kind: StageKind, grasps: Sequence[Grasp], pose: Pose) -> tuple[list[_Held], Failure]:
         """Those of the grasps by which the target standing at ``pose`` can be taken up, and why the last can not."""
@@ -220,13 +222,13 @@ class _Planner:
         find: Callable[[StageKind, Grasp, Pose, Ends], Reaches],
     ) -> tuple[list[_Held], Failure]:
         ends = self.ends(grasps, pose)
-        failure = self.unreachable(kind)
+        failure = self.unreachable(kind, ends)
         found: list[_Held] = []
         for grasp, end in zip(grasps, ends, strict=True):
             if not end.configurations:
                 continue
             reaches = find(kind, grasp, pose, end)
-            if reaches.failure is None:
+            if reaches:
                 found.append(_Held(grasp, reaches))
                 if len(found) == self.options.grasps_kept:
                     break

@@ -7,9 +7,10 @@ out first, from the configurations at the grasp outwards, since they fail soones
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -169,12 +170,37 @@ class Reach:
     outward: Trajectory
 
 
-@dataclass(frozen=True)
 class Reaches:
-    """All ways at one end of a stage, best first; or why there is none."""
+    """The ways at one end of a stage, best first, each worked out only when it is asked for; true if there is one.
 
-    ways: tuple[Reach, ...]
-    failure: Failure | None
+    Args:
+        attempts: ways, and failures where a configuration has none.
+        failure: why there is none if there are no attempts.
+
+    Attributes:
+        failure: what the last attempt failed by.
+    """
+
+    def __init__(self, attempts: Iterator[Reach | Failure], failure: Failure):
+        self._attempts, self._found = attempts, list[Reach]()
+        self.failure = failure
+
+    def __iter__(self) -> Iterator[Reach]:
+        k = 0
+        while k < len(self._found) or self._advance():
+            yield self._found[k]
+            k += 1
+
+    def __bool__(self) -> bool:
+        return bool(self._found) or self._advance()
+
+    def _advance(self) -> bool:
+        for attempt in self._attempts:
+            if isinstance(attempt, Reach):
+                self._found.append(attempt)
+                return True
+            self.failure = attempt
+        return False
 
 
 class StageMotion:
@@ -187,43 +213,43 @@ class StageMotion:
 
     def takes(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Approach and lift, for the target standing at ``pose``."""
-        options = self.options
-        empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
-        back = self._withdrawals(grasp.gripper_pose(pose))
-        lifts = [np.array([0.0, 0.0, height]) for height in options.lift]
-        ways: list[Reach] = []
-        failure = Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration at the grasp")
-        for q in ends.configurations:
-            approach = self._line(empty, q, back, grasp.opening)
-            if not isinstance(approach, Trajectory):
-                failure = _no_path(kind, SegmentKind.APPROACH, approach)
-                continue
-            lift = self._line(holding, q, lifts, grasp.theta)
-            if not isinstance(lift, Trajectory):
-                failure = _no_path(kind, SegmentKind.LIFT, lift)
-                continue
-            ways.append(Reach(approach.reversed(), lift))
-        return Reaches(tuple(ways), None if ways else failure)
+        lifts = [np.array([0.0, 0.0, height]) for height in self.options.lift]
+
+        def attempts() -> Iterator[Reach | Failure]:
+            empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
+            back = self._withdrawals(grasp.gripper_pose(pose))
+            for q in ends.configurations:
+                approach = self._line(empty, q, back, grasp.opening)
+                if not isinstance(approach, Trajectory):
+                    yield _no_path(kind, SegmentKind.APPROACH, approach)
+                    continue
+                lift = self._line(holding, q, lifts, grasp.theta)
+                if not isinstance(lift, Trajectory):
+                    yield _no_path(kind, SegmentKind.LIFT, lift)
+                    continue
+                yield Reach(approach.reversed(), lift)
+
+        return Reaches(attempts(), _unreachable(kind, ends))
 
     def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Lowering and retreat, for the target let go at ``pose``."""
-        options = self.options
-        empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
-        back = self._withdrawals(grasp.gripper_pose(pose))
-        raises = [np.array([0.0, 0.0, height]) for height in options.lower]
-        ways: list[Reach] = []
-        failure = Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration at the grasp")
-        for q in ends.configurations:
-            lower = self._line(holding, q, raises, grasp.theta)
-            if not isinstance(lower, Trajectory):
-                failure = _no_path(kind, SegmentKind.LOWER, lower)
-                continue
-            retreat = self._line(empty, q, back, grasp.opening)
-            if not isinstance(retreat, Trajectory):
-                failure = _no_path(kind, SegmentKind.RETREAT, retreat)
-                continue
-            ways.append(Reach(lower.reversed(), retreat))
-        return Reaches(tuple(ways), None if ways else failure)
+        raises = [np.array([0.0, 0.0, height]) for height in self.options.lower]
+
+        def attempts() -> Iterator[Reach | Failure]:
+            empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
+            back = self._withdrawals(grasp.gripper_pose(pose))
+            for q in ends.configurations:
+                retreat = self._line(empty, q, back, grasp.opening)
+                if not isinstance(retreat, Trajectory):
+                    yield _no_path(kind, SegmentKind.RETREAT, retreat)
+                    continue
+                lower = self._line(holding, q, raises, grasp.theta)
+                if not isinstance(lower, Trajectory):
+                    yield _no_path(kind, SegmentKind.LOWER, lower)
+                    continue
+                yield Reach(lower.reversed(), retreat)
+
+        return Reaches(attempts(), _unreachable(kind, ends))
 
     def join(
         self,
@@ -244,12 +270,13 @@ class StageMotion:
             takes, puts: the ways at either end.
             configuration: (n,) where the arm is before, radians.
         """
-        last = takes.failure or puts.failure
-        if last is not None:
-            return last
+        if not takes or not puts:
+            return (puts if takes else takes).failure
+        last = takes.failure
         empty, holding = self.surroundings.empty_handed(start_pose), self.surroundings.holding(grasp)
         closed = float(self.surroundings.robot.gripper.lower)
-        for take, put in _nearest_first(takes.ways, puts.ways)[: self.options.joins]:
+        pairs = ((take, put) for take in takes for put in puts)
+        for take, put in islice(pairs, self.options.joins):
             transfer = self._path(holding, take.outward.goal, put.inward.start, grasp.theta)
             if transfer.trajectory is None:
                 last = _no_path(kind, SegmentKind.TRANSFER, transfer)
@@ -269,7 +296,6 @@ class StageMotion:
                 Segment(SegmentKind.RETREAT, put.outward, grasp.opening, holding=False),
             )
             return Stage(kind, grasp, start_pose, release_pose, release_pose, segments)
-        assert last is not None
         return last
 
     def _withdrawals(self, gripper_pose: Pose) -> list[Float[np.ndarray, " 3"]]:
@@ -309,10 +335,8 @@ class StageMotion:
         return self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, self.options.path, self.seed))
 
 
-def _nearest_first(takes: Sequence[Reach], puts: Sequence[Reach]) -> list[tuple[Reach, Reach]]:
-    """All pairs of taking and putting, those with the shortest way between them first."""
-    pairs = [(take, put) for take in takes for put in puts]
-    return sorted(pairs, key=lambda pair: float(np.abs(pair[1].inward.start - pair[0].outward.goal).max()))
+def _unreachable(kind: StageKind, ends: Ends) -> Failure:
+    return Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration of the arm at the grasp")
 
 
 def _no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:
