@@ -21,7 +21,7 @@ from regrasp_planner.geometry.support import exact_support_value
 from regrasp_planner.robot import forward_kinematics
 
 CONFIGURATION_BUCKETS = (64, 512)
-DISTANCE_BUCKETS = (64, 512)
+DISTANCE_BATCH = 256
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,13 @@ def _posed_gripper_bounds(
 
 @jax.jit
 def _selected_distances(
-    arrays: CollisionArrays, poses: Float[Array, "N M 7"], rows: Int[Array, " L"], pairs: Int[Array, " L"], exact: bool
+    arrays: CollisionArrays,
+    poses_a: Float[Array, "L 7"],
+    poses_b: Float[Array, "L 7"],
+    pairs: Int[Array, " L"],
+    exact: bool,
 ) -> Float[Array, " L"]:
-    a, b = arrays.pairs[pairs, 0], arrays.pairs[pairs, 1]
-    bodies_a, bodies_b, poses_a, poses_b = arrays.bodies[a], arrays.bodies[b], poses[rows, a], poses[rows, b]
+    bodies_a, bodies_b = arrays.bodies[arrays.pairs[pairs, 0]], arrays.bodies[arrays.pairs[pairs, 1]]
     apart = separation(bodies_a, poses_a, bodies_b, poses_b)
     # The hulls' own support functions in any direction bound their distance from below (`certified_distance`).
     x = apart.direction
@@ -158,7 +161,7 @@ def _clearance_chunk(
     size = bucket(count, CONFIGURATION_BUCKETS, "configurations")
     fill = np.minimum(np.arange(size), count - 1)
     poses, bounds = posing(model.arrays, jnp.asarray(states[fill]), jnp.asarray(theta[fill]))
-    bounds = np.asarray(bounds)[:count]
+    bounds, poses = np.asarray(bounds)[:count], np.asarray(poses)
     margin = np.asarray(model.arrays.margin)
     value, pair = np.full(count, float(cap)), np.full(count, -1)
 
@@ -180,16 +183,19 @@ def _clearance_chunk(
 
 def _measure(
     model: CollisionModel,
-    poses: Float[Array, "N M 7"],
+    poses: Float[np.ndarray, "N M 7"],
     rows: Int[np.ndarray, " L"],
     pairs: Int[np.ndarray, " L"],
     exact: bool,
 ) -> Float[np.ndarray, " L"]:
     """Distances of pair ``pairs[i]`` in configuration ``rows[i]``, in padded batches."""
     result = np.zeros(len(pairs))
-    for i in range(0, len(pairs), DISTANCE_BUCKETS[-1]):
-        count = len(pairs[i : i + DISTANCE_BUCKETS[-1]])
-        fill = i + np.minimum(np.arange(bucket(count, DISTANCE_BUCKETS, "pairs")), count - 1)
-        distances = _selected_distances(model.arrays, poses, jnp.asarray(rows[fill]), jnp.asarray(pairs[fill]), exact)
+    a, b = model.pairs[pairs].T
+    for i in range(0, len(pairs), DISTANCE_BATCH):
+        count = len(pairs[i : i + DISTANCE_BATCH])
+        fill = i + np.minimum(np.arange(DISTANCE_BATCH), count - 1)
+        # Poses are picked out here, so that the program is the same for any number of configurations.
+        both = poses[rows[fill], a[fill]], poses[rows[fill], b[fill]]
+        distances = _selected_distances(model.arrays, *both, pairs[fill], exact)
         result[i : i + count] = np.asarray(distances)[:count]
     return result

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -21,17 +21,16 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.hull import facets, qhull
 from regrasp_planner.geometry.support import ConvexBody, support_value
 from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
-from regrasp_planner.optim.manifold import SE3, Euclidean, Product, Sphere
-from regrasp_planner.optim.trust_region import trust_region
+from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Scene
 
 OBSTACLE_BUCKETS = (16, 32, 64)
 MAX_VERTICES = 48
-SCREEN_BATCH = 48
 FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
 """Pose of the bodies that pad a batch of obstacles."""
 
@@ -73,7 +72,6 @@ class GraspGenOptions:
         refined: starts refined by the augmented Lagrangian, the most promising of those.
         max_evaluations: evaluations spent on one refined start.
         sharpness: p of all bodies during the optimisation.
-        width_starts: starts of the search for critical directions of the width.
     """
 
     margin: float = 0.06
@@ -84,7 +82,6 @@ class GraspGenOptions:
     refined: int = 12
     max_evaluations: int = 16
     sharpness: int = 96
-    width_starts: int = 48
 
 
 class GraspResult(NamedTuple):
@@ -124,11 +121,13 @@ class GraspProblem:
 
 
 class _Terms(NamedTuple):
+    """Quality f, least clearance (metres), largest and total violation (gripper openings), θ (gripper openings)."""
+
     quality: Float[Array, ""]
-    contact: Float[Array, " 2"]
     clearance: Float[Array, ""]
     violation: Float[Array, ""]
-    closing: Float[Array, ""]
+    lacking: Float[Array, ""]
+    closing: Float[Array, " 1"]
 
 
 def union_obstacles(scenes: Sequence[Scene], reach: float) -> tuple[list[ConvexBody], Float[np.ndarray, "W 7"]]:
@@ -215,65 +214,42 @@ def reduce_gripper(gripper: Gripper) -> GripperBodies:
 # ---------------------------------------------------------------------------------------------------- start points
 
 
-def _width(direction: Float[Array, " 3"], pieces: ConvexBody) -> Float[Array, ""]:
-    both = jnp.stack([direction, -direction])
-    heights = jax.vmap(lambda piece: jax.vmap(partial(support_value, piece))(both))(pieces)
-    return heights.max(axis=0).sum()
-
-
-@jax.jit
-def _width_minima(pieces: ConvexBody, starts: Float[Array, "K 3"]) -> tuple[Float[Array, "K 3"], Float[Array, " K"]]:
-    def solve(start: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
-        result = trust_region(
-            _width, start, Sphere(), params=pieces, hessian="exact", max_evaluations=25, tolerance=1e-6
-        )
-        return result.point, result.value
-
-    return jax.vmap(solve)(starts)
-
-
-@lru_cache(maxsize=4)
-def _half_sphere(count: int) -> np.ndarray:
-    k = np.arange(count) + 0.5
-    z = k / count
-    angle = np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - z**2)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-
-
 def closing_axes(
-    pieces: ConvexBody, max_width: float, options: GraspGenOptions
+    hull: Float[np.ndarray, "N 3"], max_width: float, options: GraspGenOptions
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
-    """Axes along which the target can be taken between two parallel pads: local minima of its width function.
+    """Axes along which the target can be taken between two parallel pads: the local minima of its width function.
 
     At a critical direction of w(x) = h(x) + h(−x) the support points s(x) and s(−x) differ by a multiple of x: they
-    are antipodal, with normals ±x. Where minima form a continuum (a cylinder, a ball) the starts spread over it.
+    are antipodal, with normals ±x. Now w is itself a support function, that of the difference body {a − b}; so, as
+    for stable poses, its minima are the facets of that body which the foot of its centre lies inside of. They are
+    exact, and there is nothing to iterate. Where minima crowd (round a can, all over a ball) some are picked apart.
 
     Args:
-        pieces: the target's pieces, stacked, in its frame.
+        hull: (N, 3) the target's vertices.
         max_width: widest graspable width, metres.
-        options: number of starts and axes.
+        options: number of axes.
 
     Returns:
-        (m, 3) unit axes, narrowest first, and (m,) widths. Empty if the target is too wide everywhere.
+        (m, 3) unit axes, narrowest first, and (m,) widths, metres. Empty if the target is too wide everywhere.
     """
-    points, widths = _width_minima(
-        pieces.with_sharpness(options.sharpness), jnp.asarray(_half_sphere(options.width_starts))
-    )
-    points, widths = np.asarray(points), np.asarray(widths)
-    order = np.argsort(np.round(widths, 4), kind="stable")
-    # Finest grouping first (three degrees); a coarser one only where there are more axes than wanted.
+    corners = hull[qhull(hull).vertices]
+    differences = (corners[:, None] - corners[None]).reshape(-1, 3)
+    faces = facets(qhull(differences), np.zeros(3))
+    taken = np.flatnonzero((faces.margins > 0) & (faces.heights <= max_width))
+    # Of each axis one of the two directions, and by width to the micrometre, so that rounding decides nothing.
+    order = taken[np.lexsort((*faces.normals[taken].T, np.round(faces.heights[taken], 6)))]
+    axes, widths = faces.normals[order], faces.heights[order]
+    chosen: list[int] = []
+    # Finest grouping first; a coarser one only where there are more axes than wanted.
     for degrees in (3.0, 8.0, 15.0, 25.0, 40.0):
-        chosen: list[int] = []
-        for i in order:
-            if widths[i] > max_width or not np.isfinite(points[i]).all():
-                continue
-            if all(abs(points[i] @ points[j]) < np.cos(np.radians(degrees)) for j in chosen):
-                chosen.append(int(i))
+        chosen = []
+        for i in range(len(axes)):
+            if all(abs(axes[i] @ axes[j]) < np.cos(np.radians(degrees)) for j in chosen):
+                chosen.append(i)
         if len(chosen) <= options.max_axes:
             break
     chosen = chosen[: options.max_axes]
-    return points[chosen], widths[chosen]
+    return axes[chosen], widths[chosen]
 
 
 def _perpendicular(axis: np.ndarray) -> np.ndarray:
@@ -401,29 +377,19 @@ def grasp_objective(
     return -quality, contact * scale, jnp.concatenate([clearance - problem.margin, limits]) * scale
 
 
-@jax.jit
-def _screen(poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], problem: GraspProblem) -> _Terms:
-    """Quality, contact, clearance and total violation of K grasps, without derivatives."""
-
-    def one(pose: Array, theta: Array) -> _Terms:
-        quality, contact, clearance, limits = _terms((pose, theta), problem)
-        lacking = jnp.sum(jnp.maximum(problem.margin - clearance, 0.0)) + jnp.sum(jnp.maximum(-limits, 0.0))
-        violation = (lacking + jnp.sum(jnp.abs(contact))) / problem.length
-        return _Terms(quality, contact, clearance.min(), violation, theta)
-
-    return jax.vmap(one)(poses, thetas)
-
-
-@partial(jax.jit, static_argnames=("length", "max_evaluations"))
+@partial(jax.jit, static_argnames="length")
 def _refine(
     poses: Float[Array, "K 7"],
     thetas: Float[Array, "K 1"],
     problem: GraspProblem,
+    max_evaluations: int,
     *,
     length: float,
-    max_evaluations: int,
 ) -> tuple[Float[Array, "K 7"], _Terms, Int[Array, " K"]]:
-    """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep."""
+    """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep.
+
+    With one evaluation it tells what the starts are worth: the same program screens and refines.
+    """
     manifold = Product((SE3(length=length), Euclidean(1)))
 
     def one(pose: Array, theta: Array) -> tuple[Array, _Terms, Array]:
@@ -432,6 +398,7 @@ def _refine(
             (pose, theta),
             manifold,
             params=problem,
+            counts=(2, problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size + 2),
             max_evaluations=max_evaluations,
             max_inner=6,
             constraint_tolerance=2e-3,
@@ -443,7 +410,8 @@ def _refine(
         )
         count = problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size
         clearance = result.inequalities[:count].min() * problem.length + problem.margin
-        terms = _Terms(-result.value, result.equalities * problem.length, clearance, result.violation, result.point[1])
+        lacking = jnp.abs(result.equalities).sum() + jnp.maximum(-result.inequalities, 0.0).sum()
+        terms = _Terms(-result.value, clearance, result.violation, lacking, result.point[1])
         return result.point[0], terms, result.evaluations
 
     return jax.vmap(one)(poses, thetas)
@@ -496,23 +464,18 @@ def generate_grasps(
     """
     options = options or GraspGenOptions()
     length = float(gripper.max_opening)
-    problem = grasp_problem(target, scenes, gripper, options)
-    axes, _ = closing_axes(problem.pieces, length * (1 - 0.25 * options.margin), options)
+    hull = target.hull_vertices()
+    axes, _ = closing_axes(hull, length * (1 - 0.25 * options.margin), options)
     if len(axes) == 0:
         return GraspResult((), 0, "too wide")
-    poses, thetas = grasp_starts(target.hull_vertices(), axes, gripper, options)
+    problem = grasp_problem(target, scenes, gripper, options)
+    poses, thetas = grasp_starts(hull, axes, gripper, options)
     taken = _evenly(len(poses), options.max_starts)
     poses, scaled = poses[taken], thetas[taken, None] / length
-    violation, quality = _screened(poses, scaled, problem)
-    chosen = np.resize(np.argsort(violation - 0.2 * quality, kind="stable")[: options.refined], options.refined)
+    merit = _screened(poses, scaled, problem, length, options.refined)
+    chosen = np.resize(np.argsort(merit, kind="stable")[: options.refined], options.refined)
     refined, terms, spent = jax.device_get(
-        _refine(
-            jnp.asarray(poses[chosen]),
-            jnp.asarray(scaled[chosen]),
-            problem,
-            length=length,
-            max_evaluations=options.max_evaluations,
-        )
+        _refine(poses[chosen], scaled[chosen], problem, options.max_evaluations, length=length)
     )
     evaluations = len(poses) + int(spent.sum())
     grasps = []
@@ -538,15 +501,16 @@ def _evenly(count: int, limit: int) -> np.ndarray:
     return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)
 
 
-def _screened(poses: np.ndarray, scaled: np.ndarray, problem: GraspProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Violation and quality of all starts, evaluated in batches of one size so that one program serves all."""
-    violations, qualities = [], []
-    for begin in range(0, len(poses), SCREEN_BATCH):
-        taken = np.resize(np.arange(begin, min(begin + SCREEN_BATCH, len(poses))), SCREEN_BATCH)
-        terms = jax.device_get(_screen(jnp.asarray(poses[taken]), jnp.asarray(scaled[taken]), problem))
-        violations.append(terms.violation)
-        qualities.append(terms.quality)
-    return np.concatenate(violations)[: len(poses)], np.concatenate(qualities)[: len(poses)]
+def _screened(
+    poses: np.ndarray, scaled: np.ndarray, problem: GraspProblem, length: float, batch: int
+) -> Float[np.ndarray, " K"]:
+    """How far each start is from a good grasp: its violations, less a little for its quality; one evaluation each."""
+    merits: list[np.ndarray] = []
+    for begin in range(0, len(poses), batch):
+        taken = np.resize(np.arange(begin, min(begin + batch, len(poses))), batch)
+        _, terms, _ = jax.device_get(_refine(poses[taken], scaled[taken], problem, 1, length=length))
+        merits.append(terms.lacking - 0.2 * terms.quality)
+    return np.concatenate(merits)[: len(poses)]
 
 
 def _distinct(grasps: list[Grasp], length: float) -> list[Grasp]:

@@ -90,23 +90,48 @@ def test_derivatives_of_the_problem_match_finite_differences(panda, scenes, seed
 
 
 def test_closing_axes_of_a_box_are_its_narrow_directions():
-    pieces = ConvexBody.stack([ConvexBody.box(SIZE)])
-    axes, widths = closing_axes(pieces, 0.08, OPTIONS)
+    hull = box().hull_vertices()
+    axes, widths = closing_axes(hull, 0.08, OPTIONS)
     assert len(axes) == 1
-    np.testing.assert_allclose(np.abs(axes[0]), [1, 0, 0], atol=1e-6)
-    # The DSF at the optimiser's sharpness is a little larger than the box, never smaller.
-    assert SIZE[0] <= widths[0] < 1.05 * SIZE[0]
-    axes, _ = closing_axes(pieces, 0.2, OPTIONS)
-    np.testing.assert_allclose(np.abs(axes), np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(np.abs(axes[0]), [1, 0, 0], atol=1e-12)
+    assert widths[0] == pytest.approx(SIZE[0])
+    axes, widths = closing_axes(hull, 0.2, OPTIONS)
+    np.testing.assert_allclose(np.abs(axes), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(widths, SIZE)
 
 
 def test_closing_axes_of_a_can_spread_round_it():
-    pieces = ConvexBody.stack(list(prism().pieces))
-    axes, _ = closing_axes(pieces, 0.08, OPTIONS)
+    axes, widths = closing_axes(prism().hull_vertices(), 0.08, OPTIONS)
     assert 6 <= len(axes) <= OPTIONS.max_axes
-    np.testing.assert_allclose(axes[:, 2], 0, atol=1e-3)
+    np.testing.assert_allclose(axes[:, 2], 0, atol=1e-9)
+    np.testing.assert_allclose(widths, 2 * 0.033 * np.cos(np.pi / 24))
     directions = np.sort(np.degrees(np.arctan2(axes[:, 1], axes[:, 0])) % 180)
     assert np.diff(directions, append=directions[0] + 180).max() < 45
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_closing_axes_are_the_local_minima_of_the_width(seed):
+    """On random hulls: no wider a step away, and descent from anywhere ends at one of them."""
+    rng = np.random.default_rng(seed)
+    hull = rng.normal(size=(20, 3)) * [0.02, 0.03, 0.04]
+    axes, widths = closing_axes(hull, np.inf, GraspGenOptions(max_axes=1000))
+
+    def width(x):
+        return np.ptp(hull @ np.asarray(x).T, axis=0)
+
+    np.testing.assert_allclose(width(axes), widths)
+    for axis, least in zip(axes, widths, strict=True):
+        steps = axis + 1e-4 * rng.normal(size=(200, 3))
+        assert (width(steps / np.linalg.norm(steps, axis=1, keepdims=True)) > least - 1e-12).all()
+    starts = rng.normal(size=(40, 3))
+    for x in starts / np.linalg.norm(starts, axis=1, keepdims=True):
+        size = 0.3
+        while size > 1e-5:
+            trial = x + size * rng.normal(size=(60, 3))
+            trial /= np.linalg.norm(trial, axis=1, keepdims=True)
+            best = trial[width(trial).argmin()]
+            x, size = (best, size) if width(best) < width(x) else (x, 0.7 * size)
+        assert np.abs(axes @ x).max() > np.cos(np.radians(3.5))
 
 
 def test_starts_keep_the_palm_off_the_target(panda):

@@ -303,6 +303,10 @@ def augmented_lagrangian(
         grad_norm=jnp.full((), jnp.inf),
         status=jnp.asarray(int(Status.RUNNING)),
     )
+    # Under vmap the loop's body is traced anew until it is known which parts of the state differ from start to start.
+    # All do in the end; tying each part to the start says so from the beginning, for half the time to trace.
+    never = jnp.logical_and(jax.tree.leaves(start)[0].ravel()[0] > 0, False)
+    state = jax.tree.map(lambda leaf: jnp.where(never, jnp.zeros_like(leaf), leaf), state)
     end = jax.lax.while_loop(lambda s: s.status == Status.RUNNING, body, state)
     keep = (worst(end.sample.constraints) <= constraint_tolerance) & jnp.isfinite(end.sample.value)
     point = select(keep, end.point, end.best)
