@@ -90,6 +90,7 @@ class PlannerExpert:
         self.stage_index = 0
         self.segment: Segment | None = None
         self._script: Script | None = None
+        self._world: object = None
 
     @property
     def plan(self) -> Plan:
@@ -100,7 +101,8 @@ class PlannerExpert:
 
     def reset(self) -> bool:
         """Plan from the environment's present state; False if there is no plan (see ``failure``)."""
-        self.failure, self.stage_index, self.segment = None, 0, None
+        self.failure, self.stage_index, self.segment, self._script, self.plans = None, 0, None, None, []
+        self._world = self.env.world
         self.plans = [self._plan()]
         self.failure = self.plan.failure
         self._script = self._episode() if self.plan.success else None
@@ -115,6 +117,8 @@ class PlannerExpert:
         del observation
         if self._script is None:
             return None
+        if self.env.world is not self._world:
+            raise OptionError("the environment was reset since the plan was made: call the expert's reset() too")
         try:
             command = next(self._script)
         except StopIteration as end:
@@ -139,17 +143,21 @@ class PlannerExpert:
                     return self._failed(Reason.MISPLACED, stage, "pose at rest", "the target came to rest off its goal")
             else:
                 lost += 1
-                if lost > self.options.retries:
-                    return self._failed(Reason.LOST_GRASP, stage, "friction", "the fingers closed on nothing")
                 yield from self._open()
+                yield from self._until_rest()
+                if self.env.is_success:
+                    return None
+                if lost > self.options.retries:
+                    return self._failed(Reason.LOST_GRASP, stage, "friction", "the target is not between the fingers")
             if self.stage_index >= self.options.max_stages:
                 return self._failed(Reason.SETTLED_ELSEWHERE, stage, "stages", "too many stages without success")
             ahead = current.stages[1:] if held else current.stages
             current = self._plan(tuple(next_stage.grasp for next_stage in ahead[:1]))
             self.plans.append(current)
             if current.failure is not None:
+                reason = Reason.SETTLED_ELSEWHERE if held else Reason.LOST_GRASP
                 message = f"no plan from where the target came to rest: {current.failure}"
-                return self._failed(Reason.SETTLED_ELSEWHERE, stage, current.failure.constraint, message)
+                return self._failed(reason, stage, current.failure.constraint, message)
 
     def _execute(self, stage: Stage) -> Generator[Command, None, bool]:
         """Run the segments of a stage; False as soon as the target is not in the hand although it should be."""

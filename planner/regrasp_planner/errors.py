@@ -11,5 +11,9 @@ class GeometryError(RegraspError, ValueError):
     """A shape that is no usable convex body: wrong array shape, not finite, too few points, or without volume."""
 
 
+class StrategyError(RegraspError, ValueError):
+    """A strategy that does not exist."""
+
+
 class TaskError(RegraspError, ValueError):
     """A task that can not be planned as it stands: a bad pose, an empty target, a start outside the limits."""

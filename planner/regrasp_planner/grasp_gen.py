@@ -31,6 +31,8 @@ from regrasp_planner.scene import Body, Scene
 
 OBSTACLE_BUCKETS = (16, 32, 64)
 MAX_VERTICES = 48
+FACETS = 128
+PIECE_BUCKETS = (2, 4, 8)
 FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
 """Pose of the bodies that pad a batch of obstacles."""
 
@@ -44,7 +46,8 @@ class Grasp:
         theta: finger coordinate at which both pads touch, in the gripper's unit.
         opening: finger coordinate of the open gripper around the target, before closing and after opening.
         quality: f = f_anti + f_align, at most 2.
-        clearance: least signed distance of the open gripper from the obstacles of all scenes, metres.
+        clearance: least signed distance of the open gripper from the obstacles of all scenes, and of its palm from the
+            target, metres.
     """
 
     pose: Pose
@@ -65,6 +68,7 @@ class GraspGenOptions:
     Attributes:
         margin: collision margin δ_col of the open gripper from obstacles, metres per metre of gripper opening, so
             that one value suits grippers of any size (0.06 is 5 mm for an 80 mm gripper).
+        depth: how deep the grasp centre has to lie in the target, as a share of how far the fingers reach beyond it.
         quality_threshold: f_threshold of eq. (1).
         max_axes: closing axes taken from the width function.
         angles: approach angles about each closing axis.
@@ -75,6 +79,7 @@ class GraspGenOptions:
     """
 
     margin: float = 0.06
+    depth: float = 0.5
     quality_threshold: float = 1.85
     max_axes: int = 12
     angles: int = 12
@@ -88,7 +93,7 @@ class GraspResult(NamedTuple):
     """Outcome of `generate_grasps`.
 
     Attributes:
-        grasps: feasible grasps, best quality first; empty if none was found.
+        grasps: feasible grasps, best first (by quality and nearness to the centre of mass); empty if none was found.
         evaluations: evaluated grasps, every member of a batch counted (Table IV's eval-grasp calls).
         reason: why there is none: "too wide", "enclosed" or "poor quality"; "" if there is one.
     """
@@ -103,7 +108,8 @@ class GraspResult(NamedTuple):
 class GraspProblem:
     """Arrays of one grasp problem: target pieces, union of obstacles, and the gripper reduced to few bodies.
 
-    ``hand`` stacks palm, finger 0 and finger 1 (the convex hull of each); ``pads`` the two contact bodies.
+    ``facets`` holds the planes (n, b) of each piece's hull, n·x ≤ b inside. ``hand`` stacks palm, finger 0 and
+    finger 1 (the convex hull of each); ``pads`` the two contact bodies.
     """
 
     pieces: ConvexBody
@@ -114,6 +120,8 @@ class GraspProblem:
     pads: ConvexBody
     screws: Float[Array, "2 6"]
     width_axis: Float[Array, " 3"]
+    facets: Float[Array, "P F 4"]
+    depth: Float[Array, ""]
     lower: Float[Array, ""]
     upper: Float[Array, ""]
     margin: Float[Array, ""]
@@ -193,8 +201,8 @@ _REDUCED: dict[int, tuple[Gripper, GripperBodies]] = {}
 def reduce_gripper(gripper: Gripper) -> GripperBodies:
     """Convex hulls of the palm and of each finger, stacked, and the two pads; computed once per gripper.
 
-    ``finger_length`` is the distance from the palm to the gripper frame's origin along the approach axis, and
-    ``tip_length`` how far the fingers reach beyond it, metres.
+    ``finger_length`` is the distance from the palm to the gripper frame's origin along the approach axis,
+    and ``tip_length`` how far the fingers reach beyond it, metres.
     """
     cached = _REDUCED.get(id(gripper))
     if cached is not None:
@@ -310,7 +318,7 @@ def _theta_of_width(gripper: Gripper, width: float) -> float:
 
 
 def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Array, Array, Array]:
-    """Quality f, contact distances (2,), clearances of the open gripper (3W + P,), limits of θ (2,) at one grasp.
+    """Quality f, contact distances (2,), clearances of the open gripper (P + 3W,), limits of θ and depth (3,).
 
     ``point`` is the gripper pose in the target's frame and θ in units of ``problem.length``.
     """
@@ -356,7 +364,10 @@ def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Ar
     width_axis = hand.rotation().apply(problem.width_axis)
     alignment = -0.5 * (width_axis @ towards) ** 2
     limits = jnp.stack([theta - problem.lower, problem.upper - theta])
-    return antipodal + alignment, contact, clearance, limits
+    # Contact alone would be content with a fingertip on an edge, which holds no torque and survives no error of a
+    # millimetre: the grasp centre has to lie in the target.
+    inside = (problem.facets[..., 3] - problem.facets[..., :3] @ hand.translation()).min(axis=1).max()
+    return antipodal + alignment, contact, clearance, jnp.append(limits, inside - problem.depth)
 
 
 def grasp_objective(
@@ -369,8 +380,9 @@ def grasp_objective(
         problem: from `grasp_problem`.
 
     Returns:
-        −f; the pads' signed distances from the target (2,), to be zero; and clearances beyond δ_col and distances of
-        θ from its limits (I,), to be at least zero. All distances in units of the gripper's opening.
+        −f; the pads' signed distances from the target (2,), to be zero; and clearances beyond δ_col, distances of θ
+        from its limits, and the depth of the grasp centre in the target beyond the least one (I,), to be at least zero.
+        All distances in units of the gripper's opening.
     """
     quality, contact, clearance, limits = _terms(point, problem)
     scale = 1.0 / problem.length
@@ -398,7 +410,7 @@ def _refine(
             (pose, theta),
             manifold,
             params=problem,
-            counts=(2, problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size + 2),
+            counts=(2, problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size + 3),
             max_evaluations=max_evaluations,
             max_inner=6,
             constraint_tolerance=2e-3,
@@ -417,6 +429,21 @@ def _refine(
     return jax.vmap(one)(poses, thetas)
 
 
+def _repeated(pieces: Sequence[ConvexBody]) -> list[ConvexBody]:
+    """The pieces, the last one repeated up to a bucket, so that one program serves targets of one and of two."""
+    return [*pieces, *[pieces[-1]] * (_bucket(len(pieces), PIECE_BUCKETS) - len(pieces))]
+
+
+def _facet_planes(pieces: Sequence[ConvexBody]) -> Float[np.ndarray, "P F 4"]:
+    """Planes (n, b) of the pieces' hulls, padded with planes that are far away."""
+    planes = [qhull(piece.hull_vertices()).equations * [1.0, 1.0, 1.0, -1.0] for piece in pieces]
+    size = _bucket(max(len(plane) for plane in planes), (FACETS,))
+    padded = np.tile([0.0, 0.0, 0.0, 1e3], (len(pieces), size, 1))
+    for k, plane in enumerate(planes):
+        padded[k, : len(plane)] = plane
+    return padded
+
+
 def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions) -> GraspProblem:
     """The arrays of one problem (4), padded so that scenes of similar size share one compiled program."""
     reduced = reduce_gripper(gripper)
@@ -430,7 +457,7 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
     poses = np.concatenate([poses, np.tile(FAR_AWAY, (padding, 1))])
     pieces, obstacles = (
         ConvexBody.stack([piece.thinned(MAX_VERTICES) for piece in some]).padded_to(vertices=MAX_VERTICES)
-        for some in (target.pieces, bodies)
+        for some in (_repeated(target.pieces), bodies)
     )
     return GraspProblem(
         pieces=pieces.with_sharpness(options.sharpness),
@@ -441,6 +468,8 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
         pads=reduced.pads.with_sharpness(options.sharpness),
         screws=jnp.asarray(gripper.screws),
         width_axis=jnp.asarray(gripper.width_axis),
+        facets=jnp.asarray(_facet_planes(_repeated(target.pieces))),
+        depth=jnp.asarray(options.depth * reduced.tip_length),
         lower=jnp.asarray(gripper.lower),
         upper=jnp.asarray(gripper.upper),
         margin=jnp.asarray(options.margin * float(gripper.max_opening)),
@@ -492,7 +521,10 @@ def generate_grasps(
         grasps.append(Grasp(np.asarray(pose), float(theta), float(opening), float(quality), float(clearance)))
     if not grasps:
         return GraspResult((), evaluations, "poor quality" if contact_found else "enclosed")
-    grasps.sort(key=lambda grasp: -grasp.quality)
+    # A grasp near the centre of mass has less of a torque to hold: an opening's distance counts as 0.3 of quality.
+    grasps.sort(
+        key=lambda grasp: 0.3 * float(np.linalg.norm(grasp.pose[4:] - target.center_of_mass)) / length - grasp.quality
+    )
     return GraspResult(tuple(_distinct(grasps, length)), evaluations, "")
 
 

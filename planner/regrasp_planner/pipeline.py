@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from regrasp_planner.errors import TaskError
+from regrasp_planner.errors import StrategyError, TaskError
 from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, GraspResult, generate_grasps
 from regrasp_planner.pose import Pose
 from regrasp_planner.robot import Robot, check_configuration
-from regrasp_planner.scene import Body, Scene, Task
+from regrasp_planner.scene import Scene, Task
 from regrasp_planner.stab_pose import StablePoses, stable_poses
 from regrasp_planner.stage_motion import (
     Clock,
@@ -73,11 +73,11 @@ def plan(
         `Plan`, with ``failure`` set where there is none.
 
     Raises:
-        ValueError: unknown strategy.
+        StrategyError: unknown strategy.
     """
     names = [str(member) for member in Strategy]
     if strategy not in names:
-        raise ValueError(f"unknown strategy {strategy!r}; the strategies are {', '.join(names)}")
+        raise StrategyError(f"unknown strategy {strategy!r}; the strategies are {', '.join(names)}")
     planner = _Planner(task, robot, Strategy(strategy), seed, options or PlanOptions())
     began = time.perf_counter()
     outcome = planner.run(known_grasps)
@@ -106,8 +106,6 @@ class _Planner:
         obstacles = task.pick.obstacles
         self.surroundings = Surroundings(robot, task.target, obstacles, options.motion)
         self.motion = StageMotion(self.surroundings, self.clock, seed)
-        supports = tuple(o for o in obstacles if o.body.name in task.supports)
-        self.supports = supports
 
     def run(self, known_grasps: Sequence[Grasp]) -> tuple[Stage, ...] | Failure:
         invalid = self.invalid()
@@ -141,28 +139,33 @@ class _Planner:
         failure: Failure | None = None
         for grasps in self._sources(kind, (start, end), known_grasps):
             if isinstance(grasps, Failure):
-                return failure or grasps
+                return grasps if failure is None or grasps.reason is Reason.TOO_WIDE else failure
             attempts = 0
-            for grasp, picks, places in self._reachable_at_both(grasps, start.target_pose, release):
+            rejected: list[Ends] = []
+            for grasp, picks, places in self._reachable_at_both(grasps, start.target_pose, release, rejected):
                 takes = self.motion.takes(kind, grasp, start.target_pose, picks)
                 puts = self.motion.puts(kind, grasp, release, places)
-                stage = self.motion.join(kind, grasp, start.target_pose, release, takes, puts, self.task.start)
+                stage = self.motion.join(
+                    kind, grasp, start.target_pose, release, end.target_pose, takes, puts, self.task.start
+                )
                 if isinstance(stage, Stage):
                     return (stage,)
                 failure = _furthest(failure or stage, stage)
                 attempts += bool(takes and puts)
                 if attempts == self.options.motion_attempts:
                     break
-            failure = failure or self.unreachable(kind)
+            failure = failure or self.unreachable(kind, rejected)
         assert failure is not None
         return failure
 
     def _reachable_at_both(
-        self, grasps: Sequence[Grasp], start: Pose, release: Pose
+        self, grasps: Sequence[Grasp], start: Pose, release: Pose, rejected: list[Ends]
     ) -> Iterator[tuple[Grasp, Ends, Ends]]:
+        """Grasps with their configurations at either end; ends without any are appended to ``rejected``."""
         picks = self.ends(grasps, start)
         kept = [(grasp, pick) for grasp, pick in zip(grasps, picks, strict=True) if pick.configurations]
         places = self.ends([grasp for grasp, _ in kept], release) if kept else []
+        rejected += [end for end in (*picks, *places) if not end.configurations]
         for (grasp, pick), place in zip(kept, places, strict=True):
             if place.configurations:
                 yield grasp, pick, place
@@ -203,7 +206,8 @@ class _Planner:
         """No configuration at all; the constraint is the one that most of the ``ends`` fail by."""
         name = self.task.target.name
         message = f"no collision-free configuration of the arm reaches the grasps of {name!r} where they are needed"
-        constraints = Counter(end.constraint for end in ends if end.constraint).most_common(1)
+        # Without the figures, which differ from grasp to grasp.
+        constraints = Counter(end.constraint.split(",")[0] for end in ends if end.constraint).most_common(1)
         return Failure(Reason.UNREACHABLE, kind, constraints[0][0] if constraints else "inverse kinematics", message)
 
     def takes(self, kind: StageKind, grasps: Sequence[Grasp], pose: Pose) -> tuple[list[_Held], Failure]:
@@ -254,7 +258,7 @@ class _Planner:
             settled = self.release_poses(rotation)
             if not settled:
                 continue
-            scene = Scene("release", settled[0], self.supports)
+            scene = Scene("release", settled[0], self.surroundings.obstacles)
             second = self.grasps(StageKind.REGRASP_TO_PLACE, (scene, task.place))
             if isinstance(second, Failure):
                 failure = _furthest(failure, second)
@@ -303,6 +307,7 @@ class _Planner:
                     held.grasp,
                     pick,
                     released,
+                    pose,
                     taking[id(held.grasp)],
                     held.reaches,
                     task.start,
@@ -318,6 +323,7 @@ class _Planner:
                         held.grasp,
                         pose,
                         goal,
+                        task.place.target_pose,
                         held.reaches,
                         putting[id(held.grasp)],
                         _end_of(first),
@@ -347,8 +353,8 @@ class _Planner:
 
 
 _PROGRESS = (
+    Reason.TOO_WIDE,
     Reason.NO_STABLE_POSE,
-    Reason.ENCLOSED,
     Reason.NO_COMMON_GRASP,
     Reason.UNREACHABLE,
     Reason.NO_PATH,
@@ -373,20 +379,45 @@ def _end_of(stage: Stage) -> Float[np.ndarray, " n"]:
 
 
 def check_task(task: Task, robot: Robot) -> None:
-    """Raise `TaskError` if a pose is not one, a scene's obstacle is not finite, or the start is outside the limits."""
+    """Raise `TaskError` naming the first thing about the task that can not be planned with."""
     named: list[tuple[str, Pose]] = [("pick", task.pick.target_pose), ("place", task.place.target_pose)]
     named += [(obstacle.body.name, obstacle.pose) for obstacle in (*task.pick.obstacles, *task.place.obstacles)]
     for name, pose in named:
         pose = np.asarray(pose, float)
         if pose.shape != (7,) or not np.isfinite(pose).all() or abs(np.linalg.norm(pose[:4]) - 1) > 1e-3:
             raise TaskError(f"pose of {name!r} is {pose}; give (7,) wxyz_xyz with a unit quaternion, in metres")
-    _check_body(task.target)
+    scenes = ({id(obstacle) for obstacle in scene.obstacles} for scene in (task.pick, task.place))
+    if len(set(map(frozenset, scenes))) > 1:
+        raise TaskError("the pick and the place scene differ in their obstacles; give both scenes all of them")
+    _check_names(task)
+    target = task.target
+    if not target.pieces:
+        raise TaskError(f"target {target.name!r} has no convex pieces; give it at least one")
+    swept = max(float(piece.radius) for piece in target.pieces)
+    if swept > 1e-3:
+        raise TaskError(
+            f"target {target.name!r} is swept by {swept} m (a capsule or sphere); give the vertices of a polyhedron"
+        )
+    center = np.asarray(target.center_of_mass, float)
+    if center.shape != (3,) or not np.isfinite(center).all():
+        raise TaskError(f"centre of mass of {target.name!r} is {center}; give (3,) metres")
+    area = np.concatenate([task.release.center, task.release.half_extents])
+    if area.shape != (5,) or not np.isfinite(area).all() or (np.asarray(task.release.half_extents) <= 0).any():
+        raise TaskError(
+            f"release area {area} is no rectangle; give a centre (3,) and half extents (2,) above 0, metres"
+        )
     try:
         check_configuration(robot, task.start)
     except ValueError as error:
         raise TaskError(f"start: {error}") from error
 
 
-def _check_body(target: Body) -> None:
-    if not target.pieces:
-        raise TaskError(f"target {target.name!r} has no convex pieces; give it at least one")
+def _check_names(task: Task) -> None:
+    names = [task.target.name, *(obstacle.body.name for obstacle in task.pick.obstacles)]
+    reserved = {"", "held", "world", "arm", "gripper", "fingers", "palm", "finger0", "finger1"}
+    for name in names:
+        if name in reserved or names.count(name) > 1:
+            raise TaskError(f"{name!r} names more than one thing; give the target and each obstacle a name of its own")
+    unknown = task.supports - set(names)
+    if unknown:
+        raise TaskError(f"support {sorted(unknown)[0]!r} is not among the obstacles {sorted(names[1:])}")

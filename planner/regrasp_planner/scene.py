@@ -28,7 +28,7 @@ class Body:
     mass: float = 0.0
 
     def hull_vertices(self) -> Float[np.ndarray, "N 3"]:
-        """Vertices of all pieces together, (N, 3) metres: their convex hull is the hull of the body."""
+        """Vertices of all pieces together, (N, 3) metres: their hull is that of the body, but for the pieces' sweep."""
         return np.concatenate([piece.hull_vertices() for piece in self.pieces])
 
 
@@ -72,8 +72,7 @@ class Task:
         place: the scene with the target at its goal.
         release: where it may be put down in between.
         start: (n,) configuration of the arm now, radians.
-        supports: names of obstacles that the target may touch when it rests in a scene (table, shelf board): the
-            clearance of a held target from them is not required at the end points of a stage.
+        supports: names of the obstacles that the target may rest on (table, shelf board).
     """
 
     target: Body

@@ -257,6 +257,7 @@ class StageMotion:
         grasp: Grasp,
         start_pose: Pose,
         release_pose: Pose,
+        settled_pose: Pose,
         takes: Reaches,
         puts: Reaches,
         configuration: Float[np.ndarray, " n"],
@@ -266,7 +267,7 @@ class StageMotion:
         Args:
             kind: what the stage is for.
             grasp: the grasp held.
-            start_pose, release_pose: (7,) pose of the target when taken and when let go.
+            start_pose, release_pose, settled_pose: (7,) pose of the target when taken, let go, and at rest after that.
             takes, puts: the ways at either end.
             configuration: (n,) where the arm is before, radians.
         """
@@ -295,7 +296,7 @@ class StageMotion:
                 Segment(SegmentKind.OPEN, None, grasp.opening, holding=False),
                 Segment(SegmentKind.RETREAT, put.outward, grasp.opening, holding=False),
             )
-            return Stage(kind, grasp, start_pose, release_pose, release_pose, segments)
+            return Stage(kind, grasp, start_pose, release_pose, settled_pose, segments)
         return last
 
     def _withdrawals(self, gripper_pose: Pose) -> list[Float[np.ndarray, " 3"]]:

@@ -54,10 +54,8 @@ class Reason(StrEnum):
 
     TOO_WIDE = "too wide"
     """The target is wider than the gripper opens, in every direction."""
-    ENCLOSED = "enclosed"
-    """Obstacles leave no room for the gripper in a single scene."""
     NO_COMMON_GRASP = "no common grasp"
-    """Grasps exist in each scene, none in both."""
+    """No grasp keeps clear of the obstacles of both scenes of a stage together."""
     NO_STABLE_POSE = "no stable pose"
     """The target rests nowhere in the release area, or in no pose from which it can be taken on."""
     UNREACHABLE = "unreachable"
@@ -122,7 +120,7 @@ class Stage:
         grasp: the grasp, in the target's frame.
         start_pose: (7,) the target's pose when it is taken.
         release_pose: (7,) its pose when it is let go (g_T^pre).
-        settled_pose: (7,) the pose it settles into (g_T^post); equal to ``release_pose`` for a static release.
+        settled_pose: (7,) the pose it settles into (g_T^post): for a static release, ``release_pose`` on the ground.
         segments: in the order of execution.
     """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import gymnasium
 import tyro
 from rich.console import Console
 
@@ -17,7 +18,7 @@ def main() -> None:
     tables = {"episodes": episodes, "modules": modules}
     try:
         tyro.extras.subcommand_cli_from_dict(tables, description=__doc__)
-    except (EnvError, ValueError, OSError) as error:
+    except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
         Console(stderr=True).print(f"regrasp-bench: {error}", style="red", markup=False, highlight=False)
         sys.exit(2)
     except KeyboardInterrupt:

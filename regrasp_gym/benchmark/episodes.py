@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import platform
 import time
+import traceback
 from collections import Counter
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -50,12 +52,15 @@ def episodes(
         records: one JSON line per episode, appended as they end.
         json_file: write the summary as JSON.
     """
-    setting = {"env": env, "strategy": strategy, "control_mode": control_mode}
+    setting = {"env": env, "strategy": strategy, "control_mode": control_mode, "version": version("regrasp-gym")}
     done = {record["seed"]: record for record in _read(records) if all(record.get(k) == v for k, v in setting.items())}
     wanted = range(first_seed, first_seed + count)
     missing = [seed for seed in wanted if seed not in done]
     records.parent.mkdir(parents=True, exist_ok=True)
+    if done:
+        Console().print(f"{len(wanted) - len(missing)} episodes are in {records} already", highlight=False)
     with records.open("a") as file:
+        file.write("\n")
         for record in track(_run(setting, missing, workers), total=len(missing), description="episodes"):
             done[record["seed"]] = record
             file.write(json.dumps(record) + "\n")
@@ -137,16 +142,30 @@ def _prepare(setting: Record) -> None:
 
 
 def _episode(seed: int) -> Record:
-    return {**_WORKER["setting"], **run_episode(_WORKER["env"], _WORKER["expert"], seed)}
+    try:
+        record = run_episode(_WORKER["env"], _WORKER["expert"], seed)
+    except Exception as error:
+        # One scene that crashes is a result like any other, and must not cost those of the other scenes.
+        traceback.print_exc()
+        record = _crashed(seed, error)
+    return {**_WORKER["setting"], **record}
+
+
+def _crashed(seed: int, error: Exception) -> Record:
+    record: Record = {"seed": seed, "target": "", "planned": False, "stages": [], "planning_seconds": 0.0}
+    record |= {"seconds": {}, "eval_grasp_calls": 0, "success": False, "steps": 0, "plans": 0}
+    return record | {"cause": f"crashed: {type(error).__name__}", "detail": str(error)}
 
 
 def _read(path: Path) -> list[Record]:
     if not path.exists():
         return []
-    lines = path.read_text().splitlines()
-    # A run that was killed may have left half a line at the end.
-    whole = [line for line in lines if line.endswith("}")]
-    return [json.loads(line) for line in whole]
+    records: list[Record] = []
+    for line in path.read_text().splitlines():
+        # A run that was killed may have left half a line.
+        with contextlib.suppress(json.JSONDecodeError):
+            records.append(json.loads(line))
+    return records
 
 
 def _show(summary: Record) -> None:

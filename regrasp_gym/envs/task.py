@@ -31,7 +31,8 @@ def make_task(world: World) -> Task:
         pick=Scene("pick", world.target_pose, obstacles),
         place=Scene("place", scene.goal_pose, obstacles),
         release=ReleaseArea(scene.release.center, scene.release.half_extents),
-        start=world.joint_positions.copy(),
+        # Joint limits are soft in the simulation: an arm that rests against one may be a little beyond it.
+        start=np.clip(world.joint_positions, *world.joint_limits),
         supports=frozenset(fixture.name for fixture in scene.fixtures if fixture.support),
     )
 

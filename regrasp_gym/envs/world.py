@@ -69,6 +69,11 @@ class World:
         return self.data.qpos[self._arm_qpos]
 
     @property
+    def joint_limits(self) -> Float[np.ndarray, "2 n"]:
+        """(2, n) least and greatest position of the arm's joints, radians."""
+        return np.array([self.model.joint(name).range for name in self.robot.arm_joints]).T
+
+    @property
     def joint_velocities(self) -> Float[np.ndarray, " n"]:
         """(n,) of the arm, rad/s."""
         return self.data.qvel[self._arm_dof]
