@@ -39,7 +39,11 @@ $(BIN)/python:
 	    exit 1
 	fi
 	rm -rf $(VENV)
-	"$$python" -m venv $(VENV)
+	"$$python" -m venv $(VENV) || {
+	    rm -rf $(VENV)
+	    echo "Python's venv module does not work (on Debian and Ubuntu it is the package python3.12-venv)." >&2
+	    exit 1
+	}
 
 $(VENV)/.installed-all: $(BIN)/python pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt -e '.[all]'

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import imageio.v3 as iio
+import imageio.v2 as imageio
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
@@ -43,7 +44,7 @@ def plan_strip(env: RegraspEnv, plan: Plan, *, height: int = 300, width: int = 3
 def save_plan_picture(env: RegraspEnv, plan: Plan, path: Path) -> None:
     """Write `plan_strip` to an image file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    iio.imwrite(path, plan_strip(env, plan))
+    imageio.imwrite(path, plan_strip(env, plan))
 
 
 def save_execution(env: RegraspEnv, expert: PlannerExpert, path: Path, *, camera: str = "overview") -> bool:
@@ -52,21 +53,18 @@ def save_execution(env: RegraspEnv, expert: PlannerExpert, path: Path, *, camera
     Args:
         env: with ``render_mode="rgb_array"``.
         expert: after its ``reset()``.
-        path: an .mp4 file, written at the environment's frame rate.
+        path: an .mp4 file (H.264), written at the environment's frame rate.
         camera: camera of the film.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    frames = [env.picture(camera, *env.render_size)]
-    while (action := expert.act()) is not None:
-        env.step(action)
-        frames.append(env.picture(camera, *env.render_size))
-    write_film(path, np.stack(frames), round(1 / env.scenario.control_period))
+    rate = round(1 / env.scenario.control_period)
+    writer: Any = imageio.get_writer(path, fps=rate, codec="libx264", macro_block_size=2)
+    with writer as film:
+        film.append_data(env.picture(camera, *env.render_size))
+        while (action := expert.act()) is not None:
+            env.step(action)
+            film.append_data(env.picture(camera, *env.render_size))
     return env.is_success
-
-
-def write_film(path: Path, frames: UInt8[np.ndarray, "T H W 3"], rate: int) -> None:
-    """Write frames as H.264, which every browser plays."""
-    iio.imwrite(path, frames, fps=rate, codec="libx264", macro_block_size=2)
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,14 @@ def _configure_jax() -> None:
 
 _configure_jax()
 
-from regrasp_planner.errors import GeometryError, RegraspError  # noqa: E402
+from regrasp_planner.errors import GeometryError, RegraspError, StrategyError, TaskError  # noqa: E402
 from regrasp_planner.geometry import ConvexBody, certified_distance, separation, signed_distance  # noqa: E402
 from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, generate_grasps  # noqa: E402
 from regrasp_planner.pipeline import PlanOptions, plan  # noqa: E402
 from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
 from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
 from regrasp_planner.stab_pose import StablePoses, stable_poses  # noqa: E402
-from regrasp_planner.stages import Failure, Plan, Reason, Segment, SegmentKind, Stage, StageKind, Strategy  # noqa: E402
+from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Segment, SegmentKind, Stage, StageKind, Strategy  # noqa: E402
 from regrasp_planner.trajectory import Trajectory  # noqa: E402
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "Obstacle",
     "Plan",
     "PlanOptions",
+    "PlanStats",
     "Reason",
     "RegraspError",
     "ReleaseArea",
@@ -57,7 +58,9 @@ __all__ = [
     "Stage",
     "StageKind",
     "Strategy",
+    "StrategyError",
     "Task",
+    "TaskError",
     "Trajectory",
     "certified_distance",
     "generate_grasps",

@@ -213,43 +213,41 @@ class StageMotion:
 
     def takes(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Approach and lift, for the target standing at ``pose``."""
-        lifts = [np.array([0.0, 0.0, height]) for height in self.options.lift]
-
-        def attempts() -> Iterator[Reach | Failure]:
-            empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
-            back = self._withdrawals(grasp.gripper_pose(pose))
-            for q in ends.configurations:
-                approach = self._line(empty, q, back, grasp.opening)
-                if not isinstance(approach, Trajectory):
-                    yield _no_path(kind, SegmentKind.APPROACH, approach)
-                    continue
-                lift = self._line(holding, q, lifts, grasp.theta)
-                if not isinstance(lift, Trajectory):
-                    yield _no_path(kind, SegmentKind.LIFT, lift)
-                    continue
-                yield Reach(approach.reversed(), lift)
-
-        return Reaches(attempts(), _unreachable(kind, ends))
+        names = SegmentKind.APPROACH, SegmentKind.LIFT
+        lines = self._lines_from(kind, grasp, pose, ends, self.options.lift, names)
+        ways = (line if isinstance(line, Failure) else Reach(line[0].reversed(), line[1]) for line in lines)
+        return Reaches(ways, _unreachable(kind, ends))
 
     def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Lowering and retreat, for the target let go at ``pose``."""
-        raises = [np.array([0.0, 0.0, height]) for height in self.options.lower]
+        names = SegmentKind.RETREAT, SegmentKind.LOWER
+        lines = self._lines_from(kind, grasp, pose, ends, self.options.lower, names)
+        ways = (line if isinstance(line, Failure) else Reach(line[1].reversed(), line[0]) for line in lines)
+        return Reaches(ways, _unreachable(kind, ends))
 
-        def attempts() -> Iterator[Reach | Failure]:
-            empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
-            back = self._withdrawals(grasp.gripper_pose(pose))
-            for q in ends.configurations:
-                retreat = self._line(empty, q, back, grasp.opening)
-                if not isinstance(retreat, Trajectory):
-                    yield _no_path(kind, SegmentKind.RETREAT, retreat)
-                    continue
-                lower = self._line(holding, q, raises, grasp.theta)
-                if not isinstance(lower, Trajectory):
-                    yield _no_path(kind, SegmentKind.LOWER, lower)
-                    continue
-                yield Reach(lower.reversed(), retreat)
-
-        return Reaches(attempts(), _unreachable(kind, ends))
+    def _lines_from(
+        self,
+        kind: StageKind,
+        grasp: Grasp,
+        pose: Pose,
+        ends: Ends,
+        heights: Sequence[float],
+        names: tuple[SegmentKind, SegmentKind],
+    ) -> Iterator[tuple[Trajectory, Trajectory] | Failure]:
+        """From each configuration at the grasp: the empty gripper's line off the target, and the full one's line up."""
+        empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
+        back = self._withdrawals(grasp.gripper_pose(pose))
+        raises = [np.array([0.0, 0.0, height]) for height in heights]
+        for q in ends.configurations:
+            off = self._line(empty, q, back, grasp.opening)
+            if not isinstance(off, Trajectory):
+                yield _no_path(kind, names[0], off)
+                continue
+            up = self._line(holding, q, raises, grasp.theta)
+            if not isinstance(up, Trajectory):
+                yield _no_path(kind, names[1], up)
+                continue
+            yield off, up
 
     def join(
         self,
