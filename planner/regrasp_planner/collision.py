@@ -206,7 +206,7 @@ def collision_model(
         pairs[i], margin[i], valid[i] = (a, b), needed, True
     arrays = CollisionArrays(
         robot=robot,
-        bodies=everything,
+        bodies=jax.tree.map(jnp.asarray, everything),
         local_poses=jnp.asarray(local_poses),
         held=jnp.arange(robot_count, robot_count + held_size),
         mover=jnp.asarray(mover),
