@@ -69,7 +69,8 @@ def modules(
             name = f"whole plan, {strategy}" + ("" if outcome.success else ", none found")
             measure(name, partial(plan, task, robot, strategy), 1)
 
-    table = Table("module", "calls", "median (ms)", "90 % (ms)", "paper (ms)")
+    title = f"least of {repeats} warm calls per scene or hull (plans and trimesh: one call); spread over scenes"
+    table = Table("module", "scenes", "median (ms)", "90 % (ms)", "paper (ms)", title=title)
     paper = {"StabPose, hull of 60 points": PAPER_STAB_POSE, "GraspGen, pick and place": PAPER_GRASP_GEN}
     figures = {}
     for name in sorted(rows):
