@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
 from dataclasses import asdict, dataclass
@@ -42,6 +43,8 @@ class PlanCommand:
 def main() -> None:
     """Entry point."""
     command = tyro.cli(PlanCommand)
+    # One plan and out: while JAX traces the planner, the collector would only walk over objects that stay.
+    gc.disable()
     try:
         sys.exit(run(command))
     except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
@@ -53,12 +56,12 @@ def main() -> None:
 
 def run(command: PlanCommand) -> int:
     """Carry the command out; returns the exit status."""
-    # After the arguments are known to be right: these load JAX.
-    from regrasp_gym.plan_picture import save_execution, save_plan_picture
-
     suffix = command.render.suffix if command.render else ""
     if suffix not in ("", ".png", ".mp4"):
         raise ValueError(f"--render {command.render}: give a file that ends in .png or .mp4")
+    # After that is known to be right: these load JAX.
+    from regrasp_gym.plan_picture import save_execution, save_plan_picture
+
     env = gymnasium.make(command.env, render_mode="rgb_array" if suffix else None)
     try:
         _, info = env.reset(seed=command.seed)

@@ -279,6 +279,7 @@ def exact_support_value(body: ConvexBody, x: Float[Array, "*batch 3"]) -> Float[
     return jnp.einsum("...vi,...i->...v", body.vertices, x).max(-1) + body.radius * jnp.linalg.norm(x, axis=-1)
 
 
+@jax.jit
 def whole_power(base: Float[Array, "*n"], exponent: Float[Array, "*m"]) -> Float[Array, "*n"]:
     """``base ** exponent`` (broadcast) for whole, traced exponents in 0…2047, by repeated squaring."""
     bits = exponent.astype(jnp.int32)
