@@ -10,13 +10,11 @@ from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp_gen import (
     GraspGenOptions,
-    closing_axes,
     generate_grasps,
     grasp_objective,
     grasp_problem,
-    grasp_starts,
-    reduce_gripper,
 )
+from regrasp_planner.grasp_starts import closing_axes, grasp_starts, reduce_gripper
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.scene import Body, Scene
@@ -91,17 +89,17 @@ def test_derivatives_of_the_problem_match_finite_differences(panda, scenes, seed
 
 def test_closing_axes_of_a_box_are_its_narrow_directions():
     hull = box().hull_vertices()
-    axes, widths = closing_axes(hull, 0.08, OPTIONS)
+    axes, widths = closing_axes(hull, 0.08, OPTIONS.max_axes)
     assert len(axes) == 1
     np.testing.assert_allclose(np.abs(axes[0]), [1, 0, 0], atol=1e-12)
     assert widths[0] == pytest.approx(SIZE[0])
-    axes, widths = closing_axes(hull, 0.2, OPTIONS)
+    axes, widths = closing_axes(hull, 0.2, OPTIONS.max_axes)
     np.testing.assert_allclose(np.abs(axes), np.eye(3), atol=1e-12)
     np.testing.assert_allclose(widths, SIZE)
 
 
 def test_closing_axes_of_a_can_spread_round_it():
-    axes, widths = closing_axes(prism().hull_vertices(), 0.08, OPTIONS)
+    axes, widths = closing_axes(prism().hull_vertices(), 0.08, OPTIONS.max_axes)
     assert 6 <= len(axes) <= OPTIONS.max_axes
     np.testing.assert_allclose(axes[:, 2], 0, atol=1e-9)
     np.testing.assert_allclose(widths, 2 * 0.033 * np.cos(np.pi / 24))
@@ -114,7 +112,7 @@ def test_closing_axes_are_the_local_minima_of_the_width(seed):
     """On random hulls: no wider a step away, and descent from anywhere ends at one of them."""
     rng = np.random.default_rng(seed)
     hull = rng.normal(size=(20, 3)) * [0.02, 0.03, 0.04]
-    axes, widths = closing_axes(hull, np.inf, GraspGenOptions(max_axes=1000))
+    axes, widths = closing_axes(hull, np.inf, 1000)
 
     def width(x):
         return np.ptp(hull @ np.asarray(x).T, axis=0)
@@ -136,7 +134,7 @@ def test_closing_axes_are_the_local_minima_of_the_width(seed):
 
 def test_starts_keep_the_palm_off_the_target(panda):
     axes = np.array([[1.0, 0, 0]])
-    poses, thetas = grasp_starts(box().hull_vertices(), axes, panda.gripper, OPTIONS)
+    poses, thetas = grasp_starts(box().hull_vertices(), axes, panda.gripper, OPTIONS.angles, 0.005)
     palm = reduce_gripper(panda.gripper).hand[0]
     for pose, theta in zip(poses, thetas, strict=True):
         assert gap(palm, pose, box().pieces[0], [1, 0, 0, 0, 0, 0, 0]) > -1e-3
