@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.distance import separation
-from regrasp_planner.geometry.hull import qhull
+from regrasp_planner.geometry.hull import bucket_size, qhull
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp_starts import closing_axes, grasp_starts, reduce_gripper
 from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
@@ -168,13 +168,6 @@ def union_obstacles(scenes: Sequence[Scene], reach: float) -> tuple[list[ConvexB
     return pieces, np.array(poses).reshape(-1, 7)
 
 
-def _bucket(count: int, buckets: Sequence[int]) -> int:
-    for size in buckets:
-        if count <= size:
-            return size
-    return -(-count // buckets[-1]) * buckets[-1]
-
-
 def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Array, Array, Array]:
     """Quality f, contact distances (2,), clearances of the open gripper (P + 3W,), limits of θ and depth (3,).
 
@@ -289,13 +282,13 @@ def _refine(
 
 def _repeated(pieces: Sequence[ConvexBody]) -> list[ConvexBody]:
     """The pieces, the last one repeated up to a bucket, so that one program serves targets of one and of two."""
-    return [*pieces, *[pieces[-1]] * (_bucket(len(pieces), PIECE_BUCKETS) - len(pieces))]
+    return [*pieces, *[pieces[-1]] * (bucket_size(len(pieces), PIECE_BUCKETS) - len(pieces))]
 
 
 def _facet_planes(pieces: Sequence[ConvexBody]) -> Float[np.ndarray, "P F 4"]:
     """Planes (n, b) of the pieces' hulls, padded with planes that are far away."""
     planes = [qhull(piece.hull_vertices()).equations * [1.0, 1.0, 1.0, -1.0] for piece in pieces]
-    size = _bucket(max(len(plane) for plane in planes), (FACETS,))
+    size = bucket_size(max(len(plane) for plane in planes), (FACETS,))
     padded = np.tile([0.0, 0.0, 0.0, 1e3], (len(pieces), size, 1))
     for k, plane in enumerate(planes):
         padded[k, : len(plane)] = plane
@@ -310,7 +303,7 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
     corners = np.concatenate([reduced.hand[k].hull_vertices() for k in range(3)])
     reach = size + float(np.linalg.norm(corners, axis=1).max() + gripper.max_opening)
     bodies, poses = union_obstacles(scenes, reach)
-    padding = _bucket(max(len(bodies), 1), OBSTACLE_BUCKETS) - len(bodies)
+    padding = bucket_size(max(len(bodies), 1), OBSTACLE_BUCKETS) - len(bodies)
     bodies = bodies + [ConvexBody.box((0.01, 0.01, 0.01))] * padding
     poses = np.concatenate([poses, np.tile(FAR_AWAY, (padding, 1))])
     pieces, obstacles = (

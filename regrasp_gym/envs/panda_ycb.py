@@ -75,8 +75,9 @@ class PandaYCBEnv(RegraspEnv):
 
     **Randomizations.** From the scene's seed: which object is the target (boxes, cans and bottles of the YCB set);
     which 2–4 objects lie around it and which 2–3 stand on the shelf; the resting pose of everything on the table
-    (drawn by the probability that a dropped object lands in it), positions and turns. `TableShelfConfig` holds the
-    ranges. The robot always starts in its ready configuration with the gripper open.
+    (drawn by the probability that a dropped object lands in it, the target's among those in which the gripper fits
+    over it), positions and turns. `TableShelfConfig` holds the ranges. The robot always starts in its ready
+    configuration with the gripper open.
 
     **Success.** The target is within 25 mm and 15° of the goal pose, moves no faster than 10 mm/s and 0.2 rad/s,
     something else than the gripper supports it, and the gripper does not touch it. ``info["is_success"]`` says so for

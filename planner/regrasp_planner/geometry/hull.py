@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,12 @@ BUCKETS = (8, 16, 32, 64, 128, 256)
 """Numbers of vertices that bodies are padded to, so that few shapes are ever compiled."""
 
 
-def bucket_size(count: int) -> int:
+def bucket_size(count: int, buckets: Sequence[int] = BUCKETS) -> int:
     """Smallest bucket that holds ``count``; beyond the last one, the next multiple of it."""
-    for size in BUCKETS:
+    for size in buckets:
         if count <= size:
             return size
-    return -(-count // BUCKETS[-1]) * BUCKETS[-1]
+    return -(-count // buckets[-1]) * buckets[-1]
 
 
 def checked_points(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
