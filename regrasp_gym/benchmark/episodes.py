@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import multiprocessing
-import platform
 import time
-import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,14 +14,10 @@ import gymnasium
 import numpy as np
 import tyro
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 import regrasp_gym
-
-Record = dict[str, Any]
-
-_WORKER: dict[str, Any] = {}
+from regrasp_gym.benchmark.trials import Record, run_trials, write_report
 
 
 def episodes(
@@ -53,23 +45,11 @@ def episodes(
         json_file: write the summary as JSON.
     """
     setting = {"env": env, "strategy": strategy, "control_mode": control_mode, "version": version("regrasp-gym")}
-    done = {record["seed"]: record for record in _read(records) if all(record.get(k) == v for k, v in setting.items())}
-    wanted = range(first_seed, first_seed + count)
-    missing = [seed for seed in wanted if seed not in done]
-    records.parent.mkdir(parents=True, exist_ok=True)
-    if done:
-        Console().print(f"{len(wanted) - len(missing)} episodes are in {records} already", highlight=False)
-    with records.open("a") as file:
-        file.write("\n")
-        for record in track(_run(setting, missing, workers), total=len(missing), description="episodes"):
-            done[record["seed"]] = record
-            file.write(json.dumps(record) + "\n")
-            file.flush()
-    summary = summarise(setting, [done[seed] for seed in wanted])
+    seeds = range(first_seed, first_seed + count)
+    ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="episodes")
+    summary = summarise(setting, ended)
     _show(summary)
-    if json_file:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(summary, indent=2) + "\n")
+    write_report(json_file, summary)
 
 
 def run_episode(env: gymnasium.Env, expert: Any, seed: int) -> Record:
@@ -103,69 +83,38 @@ def run_episode(env: gymnasium.Env, expert: Any, seed: int) -> Record:
 
 def summarise(setting: Record, episodes: list[Record]) -> Record:
     """Counts, failures by cause, and times, of episodes in the order of their seeds."""
-    planned = [record for record in episodes if record["planned"]]
+    crashed = [record for record in episodes if "crashed" in record]
+    ended = [record for record in episodes if "crashed" not in record]
+    planned = [record for record in ended if record["planned"]]
     succeeded = [record for record in planned if record["success"]]
     # The first episodes of a process compile; the median does not see them.
     seconds = [record["planning_seconds"] for record in planned] or [float("nan")]
     return {
         **setting,
-        "seeds": [episodes[0]["seed"], episodes[-1]["seed"]] if episodes else [],
+        "seeds": [episodes[0]["trial"], episodes[-1]["trial"]] if episodes else [],
         "episodes": len(episodes),
         "planned": len(planned),
         "planned_with_regrasp": sum(len(record["stages"]) > 1 for record in planned),
         "executed": len(succeeded),
         "executed_share": len(succeeded) / len(planned) if planned else 0.0,
-        "planning_failures": dict(Counter(r["cause"] for r in episodes if not r["planned"]).most_common()),
-        "execution_failures": dict(Counter(r["cause"] for r in planned if not r["success"]).most_common()),
+        "planning_failures": _causes([record for record in ended if not record["planned"]]),
+        "execution_failures": _causes([record for record in planned if not record["success"]]),
+        "crashed": {record["trial"]: record["crashed"] for record in crashed},
         "failed_in_execution": [record["seed"] for record in planned if not record["success"]],
         "planning_seconds_median": float(np.median(seconds)),
         "planning_seconds_p90": float(np.quantile(seconds, 0.9)),
-        "eval_grasp_calls_mean": float(np.mean([record["eval_grasp_calls"] for record in episodes] or [0])),
-        "versions": {name: version(name) for name in ("regrasp-gym", "mujoco", "jax", "numpy", "scipy")},
-        "machine": platform.machine(),
+        "eval_grasp_calls_mean": float(np.mean([record["eval_grasp_calls"] for record in ended] or [0])),
     }
 
 
-def _run(setting: Record, seeds: list[int], workers: int) -> Iterator[Record]:
-    if workers <= 1:
-        _prepare(setting)
-        yield from map(_episode, seeds)
-        return
-    # Spawned, not forked: JAX runs threads.
-    with multiprocessing.get_context("spawn").Pool(workers, _prepare, (setting,)) as pool:
-        yield from pool.imap_unordered(_episode, seeds)
+def _causes(failed: list[Record]) -> dict[str, int]:
+    return dict(Counter(record["cause"] for record in failed).most_common())
 
 
-def _prepare(setting: Record) -> None:
+def _prepare(setting: Record) -> Callable[[int], Record]:
     env = gymnasium.make(setting["env"], control_mode=setting["control_mode"])
-    _WORKER.update(setting=setting, env=env, expert=regrasp_gym.PlannerExpert(env, setting["strategy"]))
-
-
-def _episode(seed: int) -> Record:
-    try:
-        record = run_episode(_WORKER["env"], _WORKER["expert"], seed)
-    except Exception as error:
-        # One scene that crashes is a result like any other, and must not cost those of the other scenes.
-        traceback.print_exc()
-        record = _crashed(seed, error)
-    return {**_WORKER["setting"], **record}
-
-
-def _crashed(seed: int, error: Exception) -> Record:
-    record: Record = {"seed": seed, "target": "", "planned": False, "stages": [], "planning_seconds": 0.0}
-    record |= {"seconds": {}, "eval_grasp_calls": 0, "success": False, "steps": 0, "plans": 0}
-    return record | {"cause": f"crashed: {type(error).__name__}", "detail": str(error)}
-
-
-def _read(path: Path) -> list[Record]:
-    if not path.exists():
-        return []
-    records: list[Record] = []
-    for line in path.read_text().splitlines():
-        # A run that was killed may have left half a line.
-        with contextlib.suppress(json.JSONDecodeError):
-            records.append(json.loads(line))
-    return records
+    expert = regrasp_gym.PlannerExpert(env, setting["strategy"])
+    return partial(run_episode, env, expert)
 
 
 def _show(summary: Record) -> None:
@@ -181,6 +130,8 @@ def _show(summary: Record) -> None:
     for kind in ("planning", "execution"):
         for cause, number in summary[f"{kind}_failures"].items():
             table.add_row(f"{kind} failed: {cause}", str(number), _share(number, total))
+    if summary["crashed"]:
+        table.add_row("crashed", str(len(summary["crashed"])), _share(len(summary["crashed"]), total))
     console.print(table)
     median, p90 = summary["planning_seconds_median"], summary["planning_seconds_p90"]
     console.print(
