@@ -55,6 +55,10 @@ class StablePoses:
         height: (m,) height of the centre of mass above the plane, metres.
         starts: (k, 3) the uniform start directions.
         basin: (k,) index of the pose that each start settles into.
+        corners: (V, 3) vertices of the hull, seen from the centre of mass, metres.
+        ridges: (r, 2, 3) ends of the hull's edges, seen from the centre of mass, that part what settles into one pose
+            from what settles into another, metres.
+        ridge_poses: (r, 2) index of the pose on either side of each ridge, −1 for one that was left out.
     """
 
     directions: Float[np.ndarray, "m 3"]
@@ -66,6 +70,9 @@ class StablePoses:
     height: Float[np.ndarray, " m"]
     starts: Float[np.ndarray, "k 3"]
     basin: Int[np.ndarray, " k"]
+    corners: Float[np.ndarray, "V 3"]
+    ridges: Float[np.ndarray, "r 2 3"]
+    ridge_poses: Int[np.ndarray, "r 2"]
 
     def __len__(self) -> int:
         return len(self.directions)
@@ -114,7 +121,7 @@ def stable_poses(
     ends, curvature = (np.asarray(out) for out in settle(padded.T, begin.T))
 
     facet = sinks[(ends.T @ faces.normals.T).argmax(axis=1)]
-    return _ranked(faces, resting, sinks, facet, curvature, uniform)
+    return _ranked(faces, resting, sinks, facet, curvature, uniform, offsets)
 
 
 @jax.jit
@@ -196,6 +203,7 @@ def _ranked(
     facet: Int[np.ndarray, " K"],
     curvature: Float[np.ndarray, " K"],
     uniform: Float[np.ndarray, "k 3"],
+    corners: Float[np.ndarray, "V 3"],
 ) -> StablePoses:
     count = len(uniform)
     number = len(faces.normals)
@@ -223,4 +231,7 @@ def _ranked(
         height=faces.heights[order],
         starts=uniform,
         basin=index[facet[:count]],
+        corners=corners,
+        ridges=faces.edge_ends[rim],
+        ridge_poses=index[np.stack([first[rim], second[rim]], axis=1)],
     )

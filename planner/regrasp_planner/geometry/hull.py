@@ -125,6 +125,7 @@ class Facets:
             positive inside of the facet, negative when the solid would topple if it stood on it.
         topples_to: (F,) the neighbour over the edge that the foot lies farthest beyond; the facet itself if none.
         edges: (E, 2) facets on both sides of each edge of the hull (each edge once).
+        edge_ends: (E, 2, 3) both ends of each edge, seen from the point, metres.
         passes: (E,) greatest height of the point above the ground while the solid rolls over the edge from one facet
             to the other, metres.
     """
@@ -134,6 +135,7 @@ class Facets:
     margins: Float[np.ndarray, " F"]
     topples_to: Int[np.ndarray, " F"]
     edges: Int[np.ndarray, "E 2"]
+    edge_ends: Float[np.ndarray, "E 2 3"]
     passes: Float[np.ndarray, " E"]
 
 
@@ -174,6 +176,7 @@ def facets(hull: ConvexHull, point: Float[np.ndarray, " 3"], coplanar: float = 1
     triangle, side = np.nonzero(~inner & (np.arange(count)[:, None] < neighbors))
     edges = np.stack([facet_of[triangle], other[triangle, side]], axis=1)
     a, d = start[triangle, side], along[triangle, side]
+    ends = np.stack([a, end[triangle, side]], axis=1)
     foot = a - ((a * d).sum(axis=1) / (d * d).sum(axis=1))[:, None] * d
     # On the arc between the two normals the height is foot·x: it peaks inside if the foot lies between them.
     first_normal, second_normal = normals[edges[:, 0]], normals[edges[:, 1]]
@@ -181,7 +184,7 @@ def facets(hull: ConvexHull, point: Float[np.ndarray, " 3"], coplanar: float = 1
     to_first, to_second = (foot * first_normal).sum(axis=1), (foot * second_normal).sum(axis=1)
     peaks = (to_second > cosine * to_first) & (to_first > cosine * to_second)
     passes = np.where(peaks, np.linalg.norm(foot, axis=1), np.maximum(to_first, to_second))
-    return Facets(normals, heights, margins, topples_to, edges, passes)
+    return Facets(normals, heights, margins, topples_to, edges, ends, passes)
 
 
 def minimal_width(points: Float[np.ndarray, "N 3"]) -> float:
