@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import gymnasium
 import numpy as np
@@ -17,7 +17,10 @@ from rich.console import Console
 from rich.table import Table
 
 import regrasp_gym
-from regrasp_gym.benchmark.trials import Record, run_trials, write_report
+from regrasp_gym.benchmark.trials import Record, crashes, run_trials, write_report
+
+if TYPE_CHECKING:
+    from regrasp_gym.expert import PlannerExpert
 
 
 def episodes(
@@ -52,12 +55,18 @@ def episodes(
     write_report(json_file, summary)
 
 
-def run_episode(env: gymnasium.Env, expert: Any, seed: int) -> Record:
+def run_episode(env: gymnasium.Env, expert: PlannerExpert, seed: int) -> Record:
     """Plan and execute one episode: what happened, as one JSON-able record."""
+    record = plan_episode(env, expert, seed)
+    return record | execute_episode(env, expert)
+
+
+def plan_episode(env: gymnasium.Env, expert: PlannerExpert, seed: int) -> Record:
+    """Reset the environment and plan: what came of it and what it cost."""
     env.reset(seed=seed)
     began = time.perf_counter()
     planned = expert.reset()
-    record: Record = {
+    return {
         "seed": seed,
         "target": expert.env.scene.target.name,
         "planned": planned,
@@ -65,16 +74,21 @@ def run_episode(env: gymnasium.Env, expert: Any, seed: int) -> Record:
         "planning_seconds": time.perf_counter() - began,
         "seconds": expert.plan.stats.seconds,
         "eval_grasp_calls": expert.plan.stats.eval_grasp_calls,
+        "cause": "" if expert.failure is None else str(expert.failure.reason),
+        "detail": str(expert.failure or ""),
     }
+
+
+def execute_episode(env: gymnasium.Env, expert: PlannerExpert) -> Record:
+    """Let the expert act until it is done; nothing happens if it has no plan."""
     steps = 0
     while (action := expert.act()) is not None:
         _, _, _, truncated, _ = env.step(action)
         steps += 1
         if truncated:
             break
-    success = bool(expert.env.is_success)
-    failure = expert.failure
-    record |= {"success": success, "steps": steps, "plans": len(expert.plans), "cause": "", "detail": ""}
+    success, failure = expert.env.is_success, expert.failure
+    record: Record = {"success": success, "steps": steps, "plans": len(expert.plans), "cause": "", "detail": ""}
     if not success:
         record["cause"] = str(failure.reason) if failure else "time limit"
         record["detail"] = str(failure or "")
@@ -83,7 +97,6 @@ def run_episode(env: gymnasium.Env, expert: Any, seed: int) -> Record:
 
 def summarise(setting: Record, episodes: list[Record]) -> Record:
     """Counts, failures by cause, and times, of episodes in the order of their seeds."""
-    crashed = [record for record in episodes if "crashed" in record]
     ended = [record for record in episodes if "crashed" not in record]
     planned = [record for record in ended if record["planned"]]
     succeeded = [record for record in planned if record["success"]]
@@ -99,7 +112,7 @@ def summarise(setting: Record, episodes: list[Record]) -> Record:
         "executed_share": len(succeeded) / len(planned) if planned else 0.0,
         "planning_failures": _causes([record for record in ended if not record["planned"]]),
         "execution_failures": _causes([record for record in planned if not record["success"]]),
-        "crashed": {record["trial"]: record["crashed"] for record in crashed},
+        "crashed": crashes(episodes),
         "failed_in_execution": [record["seed"] for record in planned if not record["success"]],
         "planning_seconds_median": float(np.median(seconds)),
         "planning_seconds_p90": float(np.quantile(seconds, 0.9)),
@@ -130,8 +143,8 @@ def _show(summary: Record) -> None:
     for kind in ("planning", "execution"):
         for cause, number in summary[f"{kind}_failures"].items():
             table.add_row(f"{kind} failed: {cause}", str(number), _share(number, total))
-    if summary["crashed"]:
-        table.add_row("crashed", str(len(summary["crashed"])), _share(len(summary["crashed"]), total))
+    for error, seeds in summary["crashed"].items():
+        table.add_row(f"crashed: {error}", str(len(seeds)), _share(len(seeds), total))
     console.print(table)
     median, p90 = summary["planning_seconds_median"], summary["planning_seconds_p90"]
     console.print(

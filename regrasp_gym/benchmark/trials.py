@@ -55,8 +55,8 @@ def run_trials(
         label: what the progress bar says.
 
     Returns:
-        One record per trial, with ``setting`` and ``trial`` added. A trial that raised has ``crashed`` instead of
-        what ``prepare``'s function gives.
+        One record per trial, with ``setting`` and ``trial`` added. A trial that raised has ``crashed`` (the error) and
+        ``traceback`` instead of what ``prepare``'s function gives.
 
     Raises:
         BenchError: a worker died.
@@ -94,12 +94,15 @@ def write_report(
     report: Record,
     packages: Sequence[str] = ("regrasp-gym", "mujoco", "jax", "numpy", "scipy"),
 ) -> None:
-    """Write a report as JSON, with the versions of ``packages`` and the machine; nothing if there is no file."""
+    """Write a report as JSON, with the versions of ``packages`` and the machine; nothing if there is no file.
+
+    Numbers that are not finite, which JSON does not know, become null.
+    """
     if json_file is None:
         return
     made_with = {"versions": {name: version(name) for name in packages}, "machine": machine()}
     json_file.parent.mkdir(parents=True, exist_ok=True)
-    json_file.write_text(json.dumps({**report, **made_with}, indent=2, default=_plain) + "\n")
+    json_file.write_text(json.dumps(_finite(json.loads(_line({**report, **made_with}))), indent=2) + "\n")
 
 
 def machine() -> str:
@@ -109,6 +112,25 @@ def machine() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return f"{name}, {os.cpu_count()} cores"
+
+
+def crashes(records: Sequence[Record]) -> dict[str, list[int]]:
+    """Trials that crashed, by what they raised."""
+    found: dict[str, list[int]] = {}
+    for record in records:
+        if "crashed" in record:
+            found.setdefault(record["crashed"], []).append(record["trial"])
+    return found
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """95 % confidence interval of a share of ``count`` among ``total`` trials (Wilson 1927); (0, 1) without trials."""
+    if total == 0:
+        return 0.0, 1.0
+    z = 1.959964
+    center = count + 0.5 * z**2
+    spread = z * np.sqrt(count * (total - count) / total + 0.25 * z**2)
+    return float((center - spread) / (total + z**2)), float((center + spread) / (total + z**2))
 
 
 def peer(module: str) -> ModuleType:
@@ -162,8 +184,7 @@ def _guarded(run: Trial, trial: int) -> Record:
         return run(trial)
     except Exception as error:
         # One trial that crashes is a result like any other, and must not cost those of the others.
-        traceback.print_exc()
-        return {"crashed": f"{type(error).__name__}: {error}"}
+        return {"crashed": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc()}
 
 
 def _ends_within_line(path: Path) -> bool:
@@ -173,6 +194,14 @@ def _ends_within_line(path: Path) -> bool:
 
 def _line(record: Record) -> str:
     return json.dumps(record, default=_plain)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _plain(value: object) -> object:

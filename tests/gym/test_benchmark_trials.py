@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 import pytest
 
-from regrasp_gym.benchmark.trials import peer, read_records, run_trials, write_report
+from regrasp_gym.benchmark.trials import crashes, peer, read_records, run_trials, wilson, write_report
 from regrasp_gym.errors import BenchError
 
 # Workers import the trials by name, and take over this process's module path.
@@ -127,6 +127,34 @@ def test_a_report_says_what_it_was_made_with(tmp_path: Path) -> None:
     assert report["versions"] == {"numpy": np.__version__}
     assert "cores" in report["machine"]
     write_report(None, {"anything": object()})
+
+
+def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+    write_report(file, {"median": float("nan"), "limits": [np.inf, 1.0], "name": Path("a")}, packages=())
+    assert json.loads(file.read_text())["median"] is None
+    assert json.loads(file.read_text())["limits"] == [None, 1.0]
+
+
+def test_crashes_are_grouped_by_error(trace: Path, tmp_path: Path) -> None:
+    setting = {"trace": str(trace), "fails": [4, 5]}
+    file = tmp_path / "records.jsonl"
+    records = run_trials(setting, TRIALS, squares, workers=1, records=file, label="squares")
+    assert crashes(records) == {
+        "ArithmeticError: trial 4 does not work": [4],
+        "ArithmeticError: trial 5 does not work": [5],
+    }
+    assert "numbered_trials" in records[2]["traceback"]
+
+
+@pytest.mark.parametrize(("count", "total"), [(0, 10), (3, 10), (10, 10), (120, 300)])
+def test_the_interval_is_where_the_score_test_rejects(count: int, total: int) -> None:
+    low, high = wilson(count, total)
+    assert 0 <= low <= count / total <= high <= 1
+    for share in {low, high} - {0.0, 1.0}:
+        if 1e-9 < share < 1 - 1e-9:
+            assert abs(count / total - share) == pytest.approx(1.959964 * np.sqrt(share * (1 - share) / total))
+    assert wilson(0, 0) == (0.0, 1.0)
 
 
 def test_a_missing_peer_names_the_extra() -> None:

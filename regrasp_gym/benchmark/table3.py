@@ -1,0 +1,323 @@
+"""Tables III and IV of the paper: what each strategy plans and what of it holds, and what the planning costs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import gymnasium
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+import regrasp_gym
+from regrasp_gym.benchmark.episodes import execute_episode, plan_episode
+from regrasp_gym.benchmark.plots import OURS, OURS_TOO, PAPER, bars, check_format, draw
+from regrasp_gym.benchmark.trials import Record, crashes, read_records, run_trials, wilson, write_report
+from regrasp_gym.errors import BenchError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from regrasp_planner import Plan
+
+Scenario = Literal["panda", "excavator"]
+Strategy = Literal["sampling", "direct", "static", "nonstatic", "repeated"]
+STRATEGIES: tuple[Strategy, ...] = ("sampling", "direct", "static", "nonstatic", "repeated")
+ENVS: dict[Scenario, str] = {"panda": "regrasp_gym/PandaYCB-v0", "excavator": "regrasp_gym/ExcavatorStones-v0"}
+
+PAPER_TRIALS = 300
+PAPER_SUCCESSES: dict[Scenario, tuple[int, ...]] = {
+    "panda": (75, 120, 170, 201, 224),
+    "excavator": (43, 103, 209, 263, 288),
+}
+"""Successful trials of 300 by strategy (Song et al., Table III)."""
+PAPER_CALLS: dict[Scenario, tuple[int | None, ...]] = {
+    "panda": (None, 44, 247, 341, 379),
+    "excavator": (None, 63, 570, 918, 1389),
+}
+"""Mean eval-grasp calls per trial by strategy (Song et al., Table IV)."""
+
+_RECORDS = Path("outputs/bench/table3.jsonl")
+_Json = Annotated[Path | None, tyro.conf.arg(name="json")]
+_Plot = Annotated[Path | None, tyro.conf.arg(name="plot")]
+
+
+def table3(
+    scenario: Scenario = "panda",
+    trials: int = 300,
+    first_seed: int = 0,
+    strategies: tuple[Strategy, ...] = STRATEGIES,
+    execute: bool = True,
+    workers: int = 1,
+    records: Path = _RECORDS,
+    json_file: _Json = None,
+    plot_file: _Plot = None,
+) -> None:
+    """Success of each strategy over the same scenes, planned and executed (Table III of the paper).
+
+    An interrupted run goes on where it stopped, scene by scene and strategy by strategy.
+
+    Args:
+        scenario: robot and objects.
+        trials: scenes, one per seed.
+        first_seed: seed of the first scene.
+        strategies: how far the planner may go; one row each.
+        execute: execute the plans in the simulation too.
+        workers: processes.
+        records: one JSON line per scene and strategy, appended as they end.
+        json_file: write the summary as JSON.
+        plot_file: draw the counts beside the paper's (.svg, .png or .pdf).
+    """
+    check_format(plot_file)
+    report = _campaign(scenario, trials, first_seed, strategies, execute, workers, records)
+    _show_successes(report)
+    write_report(json_file, report)
+    draw(plot_file, partial(_paint_successes, report))
+
+
+def table4(
+    scenario: Scenario = "panda",
+    trials: int = 300,
+    first_seed: int = 0,
+    strategies: tuple[Strategy, ...] = STRATEGIES,
+    execute: bool = True,
+    workers: int = 1,
+    records: Path = _RECORDS,
+    json_file: _Json = None,
+    plot_file: _Plot = None,
+) -> None:
+    """Mean number of evaluated grasps of each strategy (Table IV of the paper), from the records of ``table3``.
+
+    Args:
+        scenario: robot and objects.
+        trials: scenes, one per seed.
+        first_seed: seed of the first scene.
+        strategies: how far the planner may go; one row each.
+        execute: as in ``table3``: trials with and without execution are different records.
+        workers: processes, for scenes that are not in the records.
+        records: those of ``table3``.
+        json_file: write the summary as JSON.
+        plot_file: draw the means beside the paper's (.svg, .png or .pdf).
+    """
+    check_format(plot_file)
+    report = _campaign(scenario, trials, first_seed, strategies, execute, workers, records)
+    _show_calls(report)
+    write_report(json_file, report)
+    draw(plot_file, partial(_paint_calls, report))
+
+
+def summarise(scenario: Scenario, strategy: Strategy, episodes: Sequence[Record], execute: bool) -> Record:
+    """One row of both tables, from the records of one strategy."""
+    ended = [record for record in episodes if "crashed" not in record]
+    planned = [record for record in ended if record["planned"]]
+    seconds = [record["planning_seconds"] for record in ended] or [float("nan")]
+    row = STRATEGIES.index(strategy)
+    summary: Record = {
+        "strategy": strategy,
+        "trials": len(episodes),
+        "planned": len(planned),
+        "planned_share_95": wilson(len(planned), len(episodes)),
+        "paper": {"planned": PAPER_SUCCESSES[scenario][row], "trials": PAPER_TRIALS},
+        "stages": dict(sorted(Counter(len(record["stages"]) for record in planned).items())),
+        "eval_grasp_calls_mean": float(np.mean([record["eval_grasp_calls"] for record in ended] or [np.nan])),
+        "paper_eval_grasp_calls": PAPER_CALLS[scenario][row],
+        "planning_seconds": {
+            "median": float(np.median(seconds)),
+            "p90": float(np.quantile(seconds, 0.9)),
+            "median_of_planned": float(np.median([r["planning_seconds"] for r in planned] or [np.nan])),
+        },
+        "planning_failures": _causes([record for record in ended if not record["planned"]]),
+        "crashed": crashes(episodes),
+    }
+    if execute:
+        succeeded = [record for record in planned if record["success"]]
+        failed = [record for record in planned if not record["success"]]
+        summary |= {
+            "executed": len(succeeded),
+            "executed_share_95": wilson(len(succeeded), len(planned)),
+            "taken_over": sum(bool(record["taken_over_from"]) for record in planned),
+            "execution_failures": _causes(failed),
+            "failed_in_execution": [record["trial"] for record in failed],
+        }
+    return summary
+
+
+def fingerprint(plan: Plan) -> str:
+    """Digest of all that a plan makes the robot do: equal for plans that are executed alike."""
+    digest = hashlib.sha256()
+    for stage in plan.stages:
+        digest.update(stage.kind.encode())
+        for pose in (stage.grasp.pose, stage.start_pose, stage.release_pose, stage.settled_pose):
+            digest.update(np.asarray(pose, float).tobytes())
+        digest.update(np.array([stage.grasp.theta, stage.grasp.opening], float).tobytes())
+        for segment in stage.segments:
+            digest.update(f"{segment.kind} {segment.holding} {segment.theta!r}".encode())
+            if segment.trajectory is not None:
+                for array in (segment.trajectory.times, segment.trajectory.positions, segment.trajectory.velocities):
+                    digest.update(np.ascontiguousarray(array, float).tobytes())
+    return digest.hexdigest()
+
+
+# --- trials -----------------------------------------------------------------------------------------------------------
+
+
+def _campaign(
+    scenario: Scenario,
+    trials: int,
+    first_seed: int,
+    strategies: Sequence[Strategy],
+    execute: bool,
+    workers: int,
+    records: Path,
+) -> Record:
+    env = ENVS[scenario]
+    if env not in gymnasium.registry:
+        there = ", ".join(name for name, made in ENVS.items() if made in gymnasium.registry)
+        raise BenchError(f"scenario {scenario!r} needs the environment {env}, which is not there yet; use {there}")
+    seeds = range(first_seed, first_seed + trials)
+    rows: list[Record] = []
+    # In the order of the tables: a plan that an earlier strategy has executed already need not be executed again.
+    for strategy in sorted(set(strategies), key=STRATEGIES.index):
+        setting: Record = {"env": env, "strategy": strategy, "execute": execute, "version": version("regrasp-gym")}
+        prepare = partial(_prepare, records)
+        episodes = run_trials(setting, seeds, prepare, workers=workers, records=records, label=strategy)
+        rows.append(summarise(scenario, strategy, episodes, execute))
+    return {
+        "scenario": scenario,
+        "env": env,
+        "seeds": [seeds.start, seeds.stop - 1],
+        "execute": execute,
+        "strategies": rows,
+    }
+
+
+def _prepare(records: Path, setting: Record) -> Callable[[int], Record]:
+    from regrasp_planner import Strategy as Known
+
+    if setting["strategy"] not in list(Known):
+        known = ", ".join(str(member) for member in Known)
+        raise BenchError(f"the planner has no strategy {setting['strategy']!r}; it has {known}")
+    env = gymnasium.make(setting["env"])
+    expert = regrasp_gym.PlannerExpert(env, setting["strategy"])
+    done = _executed(read_records(records), setting)
+
+    def run(seed: int) -> Record:
+        record = plan_episode(env, expert, seed)
+        if not (setting["execute"] and record["planned"]):
+            return record
+        record["fingerprint"] = fingerprint(expert.plan)
+        earlier = done.get((seed, record["fingerprint"]))
+        if earlier is None:
+            return record | execute_episode(env, expert) | {"taken_over_from": ""}
+        same = {key: earlier[key] for key in ("success", "steps", "plans", "cause", "detail")}
+        return record | same | {"taken_over_from": earlier["setting"]["strategy"]}
+
+    return run
+
+
+def _executed(records: Sequence[Record], setting: Record) -> dict[tuple[int, str], Record]:
+    """Episodes of other strategies in which a plan was carried out as planned, by seed and plan.
+
+    One plan is made before the first stage and one after each but the last. An episode with more has seen something go
+    wrong, and what was planned then depends on the strategy.
+    """
+    common = {key: value for key, value in setting.items() if key != "strategy"}
+    return {
+        (record["trial"], record["fingerprint"]): record
+        for record in records
+        if record.get("success")
+        and record["plans"] == len(record["stages"])
+        and common == {key: value for key, value in record["setting"].items() if key != "strategy"}
+    }
+
+
+def _causes(failed: Sequence[Record]) -> dict[str, int]:
+    return dict(Counter(record["cause"] for record in failed).most_common())
+
+
+# --- what is shown ----------------------------------------------------------------------------------------------------
+
+
+def _show_successes(report: Record) -> None:
+    title = f"Table III, {report['scenario']}, seeds {report['seeds'][0]}–{report['seeds'][1]}"
+    table = Table("strategy", "planned", "% (95 %)", "paper", "done", "% (95 %)", "s", "p90", title=title)
+    console = Console()
+    for row in report["strategies"]:
+        paper, seconds = row["paper"], row["planning_seconds"]
+        table.add_row(
+            row["strategy"],
+            f"{row['planned']}/{row['trials']}",
+            _share(row["planned"], row["trials"], row["planned_share_95"]),
+            f"{paper['planned']}/{paper['trials']}",
+            str(row["executed"]) if report["execute"] else "–",
+            _share(row["executed"], row["planned"], row["executed_share_95"]) if report["execute"] else "–",
+            f"{seconds['median']:.2f}",
+            f"{seconds['p90']:.2f}",
+        )
+    console.print(table)
+    console.print("done: executed with success, of those planned; s: planning time, median and 90 %", highlight=False)
+    for row in report["strategies"]:
+        for kind, causes in (("no plan", row["planning_failures"]), ("lost", row.get("execution_failures", {}))):
+            listed = ", ".join(f"{number} {cause}" for cause, number in causes.items())
+            if listed:
+                console.print(f"{row['strategy']}, {kind}: {listed}", highlight=False)
+        if row.get("failed_in_execution"):
+            console.print(f"{row['strategy']}, seeds lost: {row['failed_in_execution']}", highlight=False)
+        for error, seeds in row["crashed"].items():
+            message = f"{row['strategy']}, crashed: {error}, seeds {seeds}"
+            console.print(message, style="red", markup=False, highlight=False)
+
+
+def _show_calls(report: Record) -> None:
+    title = f"Table IV, {report['scenario']}, seeds {report['seeds'][0]}–{report['seeds'][1]}"
+    table = Table("strategy", "trials", "eval-grasp calls, mean", "paper", title=title)
+    for row in report["strategies"]:
+        paper = row["paper_eval_grasp_calls"]
+        mean = f"{row['eval_grasp_calls_mean']:.0f}"
+        table.add_row(row["strategy"], str(row["trials"]), mean, "–" if paper is None else str(paper))
+    Console().print(table)
+
+
+def _share(part: int, whole: int, interval: tuple[float, float]) -> str:
+    return f"{100 * part / whole:.0f} ({100 * interval[0]:.0f}–{100 * interval[1]:.0f})" if whole else "–"
+
+
+def _paint_successes(report: Record, axes: Axes) -> None:
+    rows = report["strategies"]
+    series: dict[str, list[float | None]] = {"planned": [_percent(row["planned"], row["trials"]) for row in rows]}
+    spans = {"planned": [_percents(row["planned_share_95"]) for row in rows]}
+    if report["execute"]:
+        series["planned and executed"] = [_percent(row["executed"], row["trials"]) for row in rows]
+    series["paper"] = [_percent(row["paper"]["planned"], row["paper"]["trials"]) for row in rows]
+    colours = (OURS, OURS_TOO, PAPER) if report["execute"] else (OURS, PAPER)
+    bars(axes, [row["strategy"] for row in rows], series, colours, spans)
+    axes.set_ylabel("success (%)")
+    axes.set_ylim(0, 118)
+    axes.set_title(f"{report['scenario']}: {rows[0]['trials'] if rows else 0} scenes")
+
+
+def _paint_calls(report: Record, axes: Axes) -> None:
+    rows = report["strategies"]
+    series = {
+        "mean eval-grasp calls": [row["eval_grasp_calls_mean"] for row in rows],
+        "paper": [row["paper_eval_grasp_calls"] for row in rows],
+    }
+    bars(axes, [row["strategy"] for row in rows], series, (OURS, PAPER))
+    axes.set_yscale("log")
+    axes.set_ylabel("evaluated grasps per trial")
+    axes.set_title(report["scenario"])
+
+
+def _percent(part: int, whole: int) -> float | None:
+    return round(100 * part / whole, 1) if whole else None
+
+
+def _percents(interval: tuple[float, float]) -> tuple[float, float]:
+    return 100 * interval[0], 100 * interval[1]
