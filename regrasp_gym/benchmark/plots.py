@@ -15,9 +15,9 @@ from regrasp_gym.errors import BenchError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-OURS, OURS_TOO, PEER, PAPER = "#1f6f8b", "#7fb7be", "#d1783f", "#9a9a9a"
-"""Colours: this package, a second quantity of it, a peer, figures of the paper."""
-COLOURS = (OURS, PEER, OURS_TOO, PAPER, "#7a5195", "#4a7c3a")
+OURS, OURS_TOO, PEER, PEER_TOO, PAPER = "#1f6f8b", "#7fb7be", "#d1783f", "#eab98f", "#9a9a9a"
+"""Colours: this package, a second quantity of it, a peer, a second quantity of that, figures of the paper."""
+COLOURS = (OURS, PEER, OURS_TOO, PEER_TOO, PAPER, "#7a5195", "#4a7c3a")
 FORMATS = (".svg", ".png", ".pdf")
 
 _STYLE: dict[str, Any] = {
@@ -124,7 +124,10 @@ def shares(
         share = np.arange(1, len(finite) + 1) / max(len(ordered), 1)
         axes.step(finite, share, where="post", label=f"{name} ({len(ordered)})", color=colours[i % len(colours)])
     axes.set_xscale("log")
+    # Whole decades: with less, the marks between would be labelled, on top of each other.
+    low, high = axes.get_xlim()
+    axes.set_xlim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
     axes.set_ylim(0, 1.02)
     axes.set_xlabel(label)
     axes.set_ylabel("share")
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper left")
