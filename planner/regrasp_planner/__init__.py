@@ -26,11 +26,13 @@ _configure_jax()
 
 from regrasp_planner.errors import GeometryError, RegraspError, StrategyError, TaskError  # noqa: E402
 from regrasp_planner.geometry import ConvexBody, certified_distance, separation, signed_distance  # noqa: E402
-from regrasp_planner.grasp_gen import Grasp, GraspGenOptions, generate_grasps  # noqa: E402
-from regrasp_planner.pipeline import PlanOptions, plan  # noqa: E402
+from regrasp_planner.grasp import Grasp, GraspGenOptions  # noqa: E402
+from regrasp_planner.grasp_gen import generate_grasps  # noqa: E402
+from regrasp_planner.pipeline import plan  # noqa: E402
 from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
 from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
 from regrasp_planner.stab_pose import StablePoses, stable_poses  # noqa: E402
+from regrasp_planner.stage_search import PlanOptions  # noqa: E402
 from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Segment, SegmentKind, Stage, StageKind, Strategy  # noqa: E402
 from regrasp_planner.trajectory import Trajectory  # noqa: E402
 

@@ -2,334 +2,340 @@
 
 The obstacles of all scenes are brought into the frame of the target, their union; a grasp found there holds in every
 one of them. Starts come from critical directions of the target's width function w(x) = h(x) + h(−x), whose support
-points are antipodal; only the approach angle about the closing axis and the offset along it are left free. All starts
-are evaluated once, and the augmented Lagrangian with the Riemannian trust region refines the most promising ones.
+points are antipodal; they are looked at in the order of `grasp_order`, a few at a time, and most often the first ones
+are feasible as they are. Where none is, the augmented Lagrangian with the Riemannian trust region refines the most
+promising ones. The ground that the target stands on before or after is a plane (`release`), which needs no evaluation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from itertools import islice
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
-import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from regrasp_planner.geometry.distance import separation
-from regrasp_planner.geometry.hull import bucket_size, qhull
-from regrasp_planner.geometry.support import ConvexBody
-from regrasp_planner.grasp_starts import closing_axes, grasp_starts, reduce_gripper
-from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
-from regrasp_planner.optim.manifold import SE3, Euclidean, Product
-from regrasp_planner.pose import Pose, rigid, wxyz_xyz
+from regrasp_planner.grasp import Grasp, GraspGenOptions, GraspResult, StartKind
+from regrasp_planner.grasp_order import bounding_boxes, overlaps
+from regrasp_planner.grasp_problem import NO_PLANE, GraspProblem, Terms, grasp_problem, graspable_parts, refine
+from regrasp_planner.grasp_starts import (
+    Starts,
+    closing_axes,
+    grasp_starts,
+    gripper_corners,
+    reduce_gripper,
+    uniform_starts,
+)
+from regrasp_planner.release import ReleaseCone, plane_clearance, relaxed_release
 from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Scene
 
-OBSTACLE_BUCKETS = (16, 32, 64)
-MAX_VERTICES = 48
-FACETS = 128
-PIECE_BUCKETS = (2, 4, 8)
-FAR_AWAY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e3])
-"""Pose of the bodies that pad a batch of obstacles."""
+BATCH = 4
+"""Grasps evaluated, or refined, in one call of the compiled program."""
+OUTER_ROUNDS = 2
+"""Rounds of Algorithm 3: grasps are refined, then the ground is tilted anew."""
+REACH_CHUNK = 64
+"""Starts whose reachability is asked for at once."""
+VIOLATION = 0.01
+"""Largest violation of a constraint that counts as none, in gripper openings."""
+
+Reachable = Callable[[Float[np.ndarray, "K 7"]], Bool[np.ndarray, " K"]]
+"""Which of K gripper poses in the target's frame the arm can take at all, obstacles aside."""
 
 
-@dataclass(frozen=True)
-class Grasp:
-    """A grasp X = (g_G, θ_G) of the target.
+class Found(NamedTuple):
+    """A grasp, and the direction in the target's frame that points down when it is let go; None where not asked."""
 
-    Attributes:
-        pose: (7,) gripper frame in the frame of the target.
-        theta: finger coordinate at which both pads touch, in the gripper's unit.
-        opening: finger coordinate of the open gripper around the target, before closing and after opening.
-        quality: f = f_anti + f_align, at most 2.
-        clearance: least signed distance of the open gripper from the obstacles of all scenes, and of its palm from the
-            target, metres.
-    """
-
-    pose: Pose
-    theta: float
-    opening: float
-    quality: float
-    clearance: float
-
-    def gripper_pose(self, target_pose: Pose) -> Pose:
-        """Pose of the gripper (7,) in the world when the target is at ``target_pose``."""
-        return wxyz_xyz(rigid(target_pose) * rigid(self.pose))
+    grasp: Grasp
+    release: Float[np.ndarray, " 3"] | None
 
 
-@dataclass(frozen=True)
-class GraspGenOptions:
-    """Options of `generate_grasps`.
+class GraspSearch:
+    """GraspGen and GraspGen⁺ for one target among the obstacles of one or more scenes.
 
-    Attributes:
-        margin: collision margin δ_col of the open gripper from obstacles, metres per metre of gripper opening, so
-            that one value suits grippers of any size (0.06 is 5 mm for an 80 mm gripper).
-        depth: how deep the grasp centre has to lie in the target, as a share of how far the fingers reach beyond it.
-        quality_threshold: f_threshold of eq. (1).
-        max_axes: closing axes taken from the width function.
-        angles: approach angles about each closing axis.
-        max_starts: starts evaluated at most.
-        refined: starts refined by the augmented Lagrangian, the most promising of those.
-        max_evaluations: evaluations spent on one refined start.
-        sharpness: p of all bodies during the optimisation.
-    """
-
-    margin: float = 0.06
-    depth: float = 0.5
-    quality_threshold: float = 1.85
-    max_axes: int = 12
-    angles: int = 12
-    max_starts: int = 144
-    refined: int = 12
-    max_evaluations: int = 16
-    sharpness: int = 96
-
-
-class GraspResult(NamedTuple):
-    """Outcome of `generate_grasps`.
-
-    Attributes:
-        grasps: feasible grasps, best first (by quality and nearness to the centre of mass); empty if none was found.
-        evaluations: evaluated grasps, every member of a batch counted (Table IV's eval-grasp calls).
-        reason: why there is none: "too wide", "enclosed" or "poor quality"; "" if there is one.
-    """
-
-    grasps: tuple[Grasp, ...]
-    evaluations: int
-    reason: str
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class GraspProblem:
-    """Arrays of one grasp problem: target pieces, union of obstacles, and the gripper reduced to few bodies.
-
-    ``facets`` holds the planes (n, b) of each piece's hull, n·x ≤ b inside. ``hand`` stacks palm, finger 0 and
-    finger 1 (the convex hull of each); ``pads`` the two contact bodies.
-    """
-
-    pieces: ConvexBody
-    center: Float[Array, " 3"]
-    obstacles: ConvexBody
-    obstacle_poses: Float[Array, "W 7"]
-    hand: ConvexBody
-    pads: ConvexBody
-    screws: Float[Array, "2 6"]
-    width_axis: Float[Array, " 3"]
-    facets: Float[Array, "P F 4"]
-    depth: Float[Array, ""]
-    lower: Float[Array, ""]
-    upper: Float[Array, ""]
-    margin: Float[Array, ""]
-    length: Float[Array, ""]
-
-
-class _Terms(NamedTuple):
-    """Quality f, least clearance (metres), largest and total violation (gripper openings), θ (gripper openings)."""
-
-    quality: Float[Array, ""]
-    clearance: Float[Array, ""]
-    violation: Float[Array, ""]
-    lacking: Float[Array, ""]
-    closing: Float[Array, " 1"]
-
-
-def union_obstacles(scenes: Sequence[Scene], reach: float) -> tuple[list[ConvexBody], Float[np.ndarray, "W 7"]]:
-    """The union of the scenes' obstacles in the target's frame, without those out of reach (Alg. 1, line 3).
+    Evaluations are kept: searching again with another ground under the target costs only what is new.
 
     Args:
-        scenes: scenes with the target's pose in each.
-        reach: radius about the target's origin beyond which no part of the gripper can be, metres.
+        target: the body to take, convex pieces in its own frame.
+        scenes: scenes the same grasp must be feasible in, such as pick and place; none for a target in free space.
+        gripper: the two-finger gripper.
+        options: see `GraspGenOptions`.
+        reachable: asked before a start is evaluated.
+        seed: of the uniform starts.
 
-    Returns:
-        Pieces of the obstacles and their poses (W, 7) in the frame of the target.
+    Attributes:
+        evaluations: grasps evaluated so far, each member of a batch counted.
+        ordered: start grasps put in order by bounding boxes so far, without an evaluation.
     """
-    pieces: list[ConvexBody] = []
-    poses: list[np.ndarray] = []
-    for scene in scenes:
-        turn = Rotation.from_quat(scene.target_pose[:4], scalar_first=True)
-        for obstacle in scene.obstacles:
-            rotation = turn.inv() * Rotation.from_quat(obstacle.pose[:4], scalar_first=True)
-            position = turn.inv().apply(obstacle.pose[4:] - scene.target_pose[4:])
-            for piece in obstacle.body.pieces:
-                vertices = rotation.apply(piece.hull_vertices()) + position
-                # A box around the piece, along the axes of the obstacle: cheap and tight enough for boards and tables.
-                own = rotation.inv().apply(vertices)
-                near = np.clip(np.zeros(3), own.min(0), own.max(0))
-                if np.linalg.norm(near) - float(piece.radius) > reach:
-                    continue
-                pieces.append(piece)
-                poses.append(np.concatenate([rotation.as_quat(scalar_first=True), position]))
-    return pieces, np.array(poses).reshape(-1, 7)
 
+    def __init__(
+        self,
+        target: Body,
+        scenes: Sequence[Scene],
+        gripper: Gripper,
+        options: GraspGenOptions | None = None,
+        reachable: Reachable | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.target, self.scenes, self.gripper = target, tuple(scenes), gripper
+        self.options, self.seed = options or GraspGenOptions(), seed
+        self.evaluations, self.ordered = 0, 0
+        self._length = float(gripper.max_opening)
+        self._margin = self.options.margin * self._length
+        self._reachable = reachable
+        self._reached: dict[int, bool] = {}
+        self._known: dict[int, Terms] = {}
+        self._improved: list[tuple[Float[np.ndarray, " 7"], Terms]] = []
+        self._contact_found = False
+        self._hull = target.hull_vertices()
 
-def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Array, Array, Array]:
-    """Quality f, contact distances (2,), clearances of the open gripper (P + 3W,), limits of θ and depth (3,).
+    @property
+    def any_feasible(self) -> bool:
+        """Whether any grasp evaluated so far is feasible, the ground under the target aside."""
+        known = ((self._starts.poses[i], terms) for i, terms in self._known.items())
+        return bool(self._improved) or any(self._grasp(*each) is not None for each in known)
 
-    ``point`` is the gripper pose in the target's frame and θ in units of ``problem.length``.
-    """
-    pose, scaled = point
-    theta = scaled[0] * problem.length
-    hand = jaxlie.SE3(pose)
-    opened = jnp.minimum(theta + problem.margin, problem.upper)
-    closed_fingers = (hand @ jaxlie.SE3.exp(theta * problem.screws)).wxyz_xyz
-    open_fingers = (hand @ jaxlie.SE3.exp(opened * problem.screws)).wxyz_xyz
-    links = jnp.concatenate([pose[None], open_fingers])
+    @property
+    def reason(self) -> str:
+        """Why there is no grasp, once a search has ended without one."""
+        if len(self._starts.poses) == 0:
+            return "too wide"
+        if self._reached and not any(self._reached.values()):
+            return "out of reach"
+        return "poor quality" if self._contact_found else "enclosed"
 
-    n_pieces, n_obstacles = problem.pieces.batch_size, problem.obstacles.batch_size
-    identity = jnp.broadcast_to(jaxlie.SE3.identity().wxyz_xyz, (n_pieces, 7))
-    # One flat batch: pads against pieces, the palm against pieces, palm and fingers against obstacles.
-    first = ConvexBody.concatenate([problem.hand, problem.pads])
-    second = ConvexBody.concatenate([problem.pieces, problem.obstacles])
-    first_poses = jnp.concatenate([links, closed_fingers])
-    second_poses = jnp.concatenate([identity, problem.obstacle_poses])
-    pieces, obstacles = np.arange(n_pieces), n_pieces + np.arange(n_obstacles)
-    pairs = np.concatenate(
-        [
-            np.stack(np.meshgrid([3, 4], pieces, indexing="ij"), -1).reshape(-1, 2),
-            np.stack(np.meshgrid([0], pieces, indexing="ij"), -1).reshape(-1, 2),
-            np.stack(np.meshgrid([0, 1, 2], obstacles, indexing="ij"), -1).reshape(-1, 2),
+    def grasps(self, start: ReleaseCone | None = None, end: ReleaseCone | None = None) -> Iterator[list[Found]]:
+        """Feasible grasps, a few at a time, the most open ones first; the caller stops when it has what it needs.
+
+        Args:
+            start: the ground under the target when it is taken, as the cone of a stable pose; its axis counts alone.
+            end: the ground when it is let go. Where its half-angle is positive the plane may tilt within the cone
+                (GraspGen⁺, Algorithm 3); otherwise the release is static.
+        """
+        if len(self._starts.poses) == 0:
+            return
+        release, clear, _ = self._grounds(self._bodies, start, end)
+        tried: list[int] = []
+        if self.options.starts is StartKind.CRITICAL:
+            for batch in self._screened(clear):
+                tried += batch
+                grasps = [self._grasp(self._starts.poses[i], self._known[i]) for i in batch]
+                found = [Found(grasp, release[i]) for i, grasp in zip(batch, grasps, strict=True) if grasp is not None]
+                if found:
+                    yield found
+        if self._improved:
+            poses = np.array([pose for pose, _ in self._improved])
+            thetas = np.array([terms.closing[0] for _, terms in self._improved]) * self._length
+            found = self._cleared(poses, thetas, [terms for _, terms in self._improved], start, end)
+            if found:
+                yield found
+        yield from self._refined(self._promising(tried, clear), start, end)
+
+    def _screened(self, clear: Bool[np.ndarray, " K"]) -> Iterator[list[int]]:
+        """Batches of evaluated starts: those known from other searches, then new ones as far as the budgets allow."""
+        known = iter([int(i) for i in self._order if clear[i] and int(i) in self._known])
+        while batch := list(islice(known, BATCH)):
+            yield batch
+        unknown = (i for i in self._in_order(clear) if i not in self._known)
+        for _ in range(self.options.screened // BATCH):
+            if self.evaluations >= self.options.budget:
+                return
+            batch = list(islice(unknown, BATCH))
+            if not batch:
+                return
+            self._evaluate(batch)
+            yield batch
+
+    def _cleared(
+        self,
+        poses: Float[np.ndarray, "K 7"],
+        thetas: Float[np.ndarray, " K"],
+        terms: Sequence[Terms],
+        start: ReleaseCone | None,
+        end: ReleaseCone | None,
+    ) -> list[Found]:
+        """Those of K solved grasps that are feasible and clear the ground."""
+        release, clear, _ = self._grounds(self._around(poses, thetas), start, end)
+        grasps = [self._grasp(pose, each) for pose, each in zip(poses, terms, strict=True)]
+        return [Found(grasp, release[k]) for k, grasp in enumerate(grasps) if grasp is not None and clear[k]]
+
+    # --- starts -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _starts(self) -> Starts:
+        options, parts = self.options, graspable_parts(self.target)
+        widest = self._length * (1 - 0.25 * options.margin)
+        shares = [options.max_axes] if len(parts) == 1 else [max(2, options.max_axes // len(parts))] * len(parts)
+        axes = [closing_axes(part, widest, share)[0] for part, share in zip(parts, shares, strict=True)]
+        number = sum(map(len, axes))
+        if number == 0:
+            return Starts.none()
+        if options.starts is StartKind.UNIFORM:
+            return uniform_starts(self._hull, self.gripper, options.refined, self.seed)
+        angles = 24 if number <= 4 else 12
+        pieces = [piece.hull_vertices() for piece in self.target.pieces]
+        every = [
+            grasp_starts(pieces, k, parts[k], axes[k], self.gripper, angles, 1.2 * self._margin)
+            for k in range(len(parts))
+            if len(axes[k])
         ]
-    )
-    a, b = pairs[:, 1], pairs[:, 0]
-    of_pair = separation(second[a], second_poses[a], first[b], first_poses[b], thorough=False)
-    touching = of_pair.distance[: 2 * n_pieces].reshape(2, n_pieces)
-    piece = jax.lax.stop_gradient(jnp.argmin(touching, axis=1))
-    contact = jnp.take_along_axis(touching, piece[:, None], axis=1)[:, 0]
-    clearance = of_pair.distance[2 * n_pieces :]
+        return Starts.concatenate(every)
 
-    # Contact normals and points of the touched pieces, differentiated through the argmin of the distance problem.
-    touched = jnp.arange(2) * n_pieces + piece
-    (x1, x2), (s1, s2) = of_pair.direction[touched], of_pair.point_a[touched]
-    line = s1 - s2
-    line = line / jnp.sqrt(line @ line + 1e-12)
-    antipodal = -x1 @ x2 + x1 @ line
-    palm_center = hand.apply(problem.hand[0].center)
-    towards = problem.center - palm_center
-    towards = towards / jnp.sqrt(towards @ towards + 1e-12)
-    width_axis = hand.rotation().apply(problem.width_axis)
-    alignment = -0.5 * (width_axis @ towards) ** 2
-    limits = jnp.stack([theta - problem.lower, problem.upper - theta])
-    # Contact alone would be content with a fingertip on an edge, which holds no torque and survives no error of a
-    # millimetre: the grasp centre has to lie in the target.
-    inside = (problem.facets[..., 3] - problem.facets[..., :3] @ hand.translation()).min(axis=1).max()
-    return antipodal + alignment, contact, clearance, jnp.append(limits, inside - problem.depth)
+    @cached_property
+    def _order(self) -> Int[np.ndarray, " K"]:
+        """Starts by overlap of bounding boxes and lack of depth; then openness, and nearness to the centre of mass."""
+        starts = self._starts
+        if self.options.starts is StartKind.UNIFORM:
+            return np.arange(len(starts.poses))
+        opened = np.minimum(starts.thetas + self._margin, float(self.gripper.upper))
+        problem = self._problem
+        boxes, where = bounding_boxes(problem.obstacles), np.asarray(problem.obstacle_poses)
+        overlap, gap = overlaps(starts.poses, opened, self.gripper, boxes, where, self._margin)
+        self.ordered += len(starts.poses)
+        wanted = self.options.depth * reduce_gripper(self.gripper).tip_length
+        lever = np.linalg.norm(starts.poses[:, 4:] - self.target.center_of_mass, axis=1)
+        cost = overlap + np.maximum(0.0, wanted - starts.depths) - 0.1 * np.clip(gap, 0.0, 6 * self._margin)
+        return np.argsort(cost + 0.03 * lever, kind="stable")
 
+    def _in_order(self, clear: Bool[np.ndarray, " K"]) -> Iterator[int]:
+        """Starts that clear the ground and that the arm reaches, such as differ from those before first."""
+        order = self._order[clear[self._order]]
+        for begin in range(0, len(order), REACH_CHUNK):
+            chunk = order[begin : begin + REACH_CHUNK]
+            chunk = chunk[self._within_reach(chunk)]
+            first, rest = _spread(self._starts.poses[chunk], 0.15 * self._length)
+            yield from (int(i) for i in chunk[first])
+            yield from (int(i) for i in chunk[rest])
 
-def grasp_objective(
-    point: tuple[Float[Array, " 7"], Float[Array, " 1"]], problem: GraspProblem
-) -> tuple[Float[Array, ""], Float[Array, " 2"], Float[Array, " I"]]:
-    """Problem (4) at one grasp, as `augmented_lagrangian` takes it.
+    def _within_reach(self, chunk: Int[np.ndarray, " C"]) -> Bool[np.ndarray, " C"]:
+        if self._reachable is None:
+            return np.ones(len(chunk), bool)
+        if any(int(i) not in self._reached for i in chunk):
+            answers = self._reachable(self._starts.poses[chunk])
+            self._reached |= {int(i): bool(answer) for i, answer in zip(chunk, answers, strict=True)}
+        return np.array([self._reached[int(i)] for i in chunk], bool)
 
-    Args:
-        point: gripper pose in the target's frame, and θ in units of the gripper's opening.
-        problem: from `grasp_problem`.
+    # --- evaluations --------------------------------------------------------------------------------------------------
 
-    Returns:
-        −f; the pads' signed distances from the target (2,), to be zero; and clearances beyond δ_col, distances of θ
-        from its limits, and the depth of the grasp centre in the target beyond the least one (I,), to be at least zero.
-        All distances in units of the gripper's opening.
-    """
-    quality, contact, clearance, limits = _terms(point, problem)
-    scale = 1.0 / problem.length
-    return -quality, contact * scale, jnp.concatenate([clearance - problem.margin, limits]) * scale
+    @cached_property
+    def _problem(self) -> GraspProblem:
+        return grasp_problem(self.target, self.scenes, self.gripper, self.options)
 
+    @cached_property
+    def _bodies(self) -> Float[np.ndarray, "K G 3"]:
+        return self._around(self._starts.poses, self._starts.thetas)
 
-@partial(jax.jit, static_argnames="length")
-def _refine(
-    poses: Float[Array, "K 7"],
-    thetas: Float[Array, "K 1"],
-    problem: GraspProblem,
-    max_evaluations: int,
-    *,
-    length: float,
-) -> tuple[Float[Array, "K 7"], _Terms, Int[Array, " K"]]:
-    """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep.
+    def _around(self, poses: Float[np.ndarray, "K 7"], thetas: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K G 3"]:
+        """Corners of palm and fingers in the target's frame, opened for the target and opened wide."""
+        upper = np.full(len(thetas), float(self.gripper.upper))
+        opened = np.minimum(thetas + self._margin, upper)
+        return np.concatenate([gripper_corners(self.gripper, poses, theta) for theta in (opened, upper)], axis=1)
 
-    With one evaluation it tells what the starts are worth: the same program screens and refines.
-    """
-    manifold = Product((SE3(length=length), Euclidean(1)))
+    def _grounds(
+        self, bodies: Float[np.ndarray, "K G 3"], start: ReleaseCone | None, end: ReleaseCone | None
+    ) -> tuple[list[Float[np.ndarray, " 3"] | None], Bool[np.ndarray, " K"], Float[np.ndarray, "K 2 4"]]:
+        """Direction in which each grasp lets go, whether it clears the ground at both ends, and the planes."""
+        count = len(bodies)
+        narrow = bodies[:, : bodies.shape[1] // 2]
+        clear = np.ones(count, bool)
+        planes = np.tile(NO_PLANE, (count, 2, 1))
+        release: list[Float[np.ndarray, " 3"] | None] = [None] * count
+        if start is not None:
+            planes[:, 0] = self._plane(start.axis)
+            clear &= plane_clearance(self._hull, narrow, start.axis) >= self._margin
+        if end is not None and end.half_angle > 0:
+            down, free = relaxed_release(end, self._hull, bodies, self._margin)
+        elif end is not None:
+            down = np.tile(end.axis, (count, 1))
+            free = plane_clearance(self._hull, narrow, end.axis) >= self._margin
+        else:
+            return release, clear, planes
+        planes[:, 1] = self._plane(down)
+        return list(down), clear & free, planes
 
-    def one(pose: Array, theta: Array) -> tuple[Array, _Terms, Array]:
-        result = augmented_lagrangian(
-            grasp_objective,
-            (pose, theta),
-            manifold,
-            params=problem,
-            counts=(2, problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size + 3),
-            max_evaluations=max_evaluations,
-            max_inner=6,
-            constraint_tolerance=2e-3,
-            gradient_tolerance=1e-3,
-            initial_penalty=20.0,
-            initial_radius=0.3,
-            stall_decrease=1e-3,
-            stall_steps=2,
+    def _plane(self, down: Float[np.ndarray, "*K 3"]) -> Float[np.ndarray, "*K 4"]:
+        return np.concatenate([down, (down @ self._hull.T).max(axis=-1)[..., None]], axis=-1)
+
+    def _evaluate(self, new: Sequence[int]) -> None:
+        """One evaluation of each of these starts, without the ground."""
+        index = np.resize(np.asarray(new), BATCH)
+        grounds = np.tile(NO_PLANE, (BATCH, 2, 1))
+        _, terms, _ = self._solve(
+            self._starts.poses[index], self._starts.thetas[index], self._starts.taken[index], grounds, 1
         )
-        count = problem.hand.batch_size * problem.obstacles.batch_size + problem.pieces.batch_size
-        clearance = result.inequalities[:count].min() * problem.length + problem.margin
-        lacking = jnp.abs(result.equalities).sum() + jnp.maximum(-result.inequalities, 0.0).sum()
-        terms = _Terms(-result.value, clearance, result.violation, lacking, result.point[1])
-        return result.point[0], terms, result.evaluations
+        self.evaluations += len(new)
+        self._known |= {i: Terms(*(leaf[k] for leaf in terms)) for k, i in enumerate(new)}
 
-    return jax.vmap(one)(poses, thetas)
+    def _solve(
+        self,
+        poses: Float[np.ndarray, "B 7"],
+        thetas: Float[np.ndarray, " B"],
+        taken: Int[np.ndarray, " B"],
+        grounds: Float[np.ndarray, "B 2 4"],
+        evaluations: int,
+    ) -> tuple[Float[np.ndarray, "B 7"], Terms, Int[np.ndarray, " B"]]:
+        scaled = thetas[:, None] / self._length
+        solved = refine(poses, scaled, taken, grounds, self._problem, evaluations, length=self._length)
+        return jax.device_get(solved)
 
+    def _grasp(self, pose: Float[np.ndarray, " 7"], terms: Terms) -> Grasp | None:
+        """The grasp, if it is feasible."""
+        if not np.isfinite(terms.violation) or terms.violation > VIOLATION:
+            return None
+        self._contact_found = True
+        if terms.quality < self.options.quality_threshold:
+            return None
+        theta = float(terms.closing[0]) * self._length
+        opening = min(theta + self._margin, float(self.gripper.upper))
+        return Grasp(np.asarray(pose), theta, float(opening), float(terms.quality), float(terms.clearance))
 
-def _repeated(pieces: Sequence[ConvexBody]) -> list[ConvexBody]:
-    """The pieces, the last one repeated up to a bucket, so that one program serves targets of one and of two."""
-    return [*pieces, *[pieces[-1]] * (bucket_size(len(pieces), PIECE_BUCKETS) - len(pieces))]
+    # --- refinement ---------------------------------------------------------------------------------------------------
 
+    def _promising(self, tried: Sequence[int], clear: Bool[np.ndarray, " K"]) -> list[int]:
+        """Starts to refine: of those tried the nearest to feasible, then such as only the ground is in the way of."""
+        if self.evaluations >= self.options.budget:
+            return []
+        if self.evaluations + self.options.max_evaluations > self.options.budget:
+            return []
+        merit = {
+            i: self._known[i].lacking - 0.2 * self._known[i].quality
+            for i in tried
+            if self._grasp(self._starts.poses[i], self._known[i]) is None
+        }
+        chosen = sorted(merit, key=lambda i: merit[i])[: self.options.refined]
+        others = self._order[~clear[self._order]][:REACH_CHUNK]
+        others = others[self._within_reach(others)] if len(chosen) < self.options.refined else others[:0]
+        return [*chosen, *(int(i) for i in others)][: self.options.refined]
 
-def _facet_planes(pieces: Sequence[ConvexBody]) -> Float[np.ndarray, "P F 4"]:
-    """Planes (n, b) of the pieces' hulls, padded with planes that are far away."""
-    planes = [qhull(piece.hull_vertices()).equations * [1.0, 1.0, 1.0, -1.0] for piece in pieces]
-    size = bucket_size(max(len(plane) for plane in planes), (FACETS,))
-    padded = np.tile([0.0, 0.0, 0.0, 1e3], (len(pieces), size, 1))
-    for k, plane in enumerate(planes):
-        padded[k, : len(plane)] = plane
-    return padded
-
-
-def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions) -> GraspProblem:
-    """The arrays of one problem (4), padded so that scenes of similar size share one compiled program."""
-    reduced = reduce_gripper(gripper)
-    hull = target.hull_vertices()
-    size = float(np.linalg.norm(hull, axis=1).max())
-    corners = np.concatenate([reduced.hand[k].hull_vertices() for k in range(3)])
-    reach = size + float(np.linalg.norm(corners, axis=1).max() + gripper.max_opening)
-    bodies, poses = union_obstacles(scenes, reach)
-    padding = bucket_size(max(len(bodies), 1), OBSTACLE_BUCKETS) - len(bodies)
-    bodies = bodies + [ConvexBody.box((0.01, 0.01, 0.01))] * padding
-    poses = np.concatenate([poses, np.tile(FAR_AWAY, (padding, 1))])
-    pieces, obstacles = (
-        ConvexBody.stack([piece.thinned(MAX_VERTICES) for piece in some]).padded_to(vertices=MAX_VERTICES)
-        for some in (_repeated(target.pieces), bodies)
-    )
-    return GraspProblem(
-        pieces=pieces.with_sharpness(options.sharpness),
-        center=jnp.asarray(target.center_of_mass, float),
-        obstacles=obstacles.with_sharpness(options.sharpness),
-        obstacle_poses=jnp.asarray(poses),
-        hand=reduced.hand.with_sharpness(options.sharpness),
-        pads=reduced.pads.with_sharpness(options.sharpness),
-        screws=jnp.asarray(gripper.screws),
-        width_axis=jnp.asarray(gripper.width_axis),
-        facets=jnp.asarray(_facet_planes(_repeated(target.pieces))),
-        depth=jnp.asarray(options.depth * reduced.tip_length),
-        lower=jnp.asarray(gripper.lower),
-        upper=jnp.asarray(gripper.upper),
-        margin=jnp.asarray(options.margin * float(gripper.max_opening)),
-        length=jnp.asarray(float(gripper.max_opening)),
-    )
+    def _refined(
+        self, chosen: Sequence[int], start: ReleaseCone | None, end: ReleaseCone | None
+    ) -> Iterator[list[Found]]:
+        """Algorithm 1, and where the ground may tilt Algorithm 3, from the chosen starts."""
+        rounds = OUTER_ROUNDS if end is not None and end.half_angle > 0 else 1
+        for begin in range(0, len(chosen), BATCH):
+            count = len(chosen[begin : begin + BATCH])
+            index = np.resize(np.asarray(chosen[begin : begin + BATCH]), BATCH)
+            poses, thetas = self._starts.poses[index], self._starts.thetas[index]
+            terms: Terms | None = None
+            for _ in range(rounds):
+                _, _, planes = self._grounds(self._around(poses, thetas), start, end)
+                evaluations = self.options.max_evaluations // rounds
+                poses, terms, spent = self._solve(poses, thetas, self._starts.taken[index], planes, evaluations)
+                thetas = np.asarray(terms.closing)[:, 0] * self._length
+                self.evaluations += int(spent[:count].sum())
+            assert terms is not None
+            each = [Terms(*(leaf[k] for leaf in terms)) for k in range(count)]
+            self._improved += [(pose, one) for pose, one in zip(poses, each, strict=False) if self._grasp(pose, one)]
+            if found := self._cleared(poses[:count], thetas[:count], each, start, end):
+                yield found
 
 
 def generate_grasps(
-    target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions | None = None
+    target: Body, scenes: Sequence[Scene], gripper: Gripper, options: GraspGenOptions | None = None, seed: int = 0
 ) -> GraspResult:
     """Grasps that hold the target and keep clear of the obstacles of all ``scenes`` (Alg. 1).
 
@@ -338,65 +344,39 @@ def generate_grasps(
         scenes: scenes the same grasp must be feasible in, such as pick and place.
         gripper: the two-finger gripper.
         options: see `GraspGenOptions`.
+        seed: of the uniform starts, where the options ask for those.
 
     Returns:
         `GraspResult`; without a feasible grasp it is empty and says why.
     """
-    options = options or GraspGenOptions()
+    search = GraspSearch(target, scenes, gripper, options, seed=seed)
     length = float(gripper.max_opening)
-    hull = target.hull_vertices()
-    axes, _ = closing_axes(hull, length * (1 - 0.25 * options.margin), options.max_axes)
-    if len(axes) == 0:
-        return GraspResult((), 0, "too wide")
-    problem = grasp_problem(target, scenes, gripper, options)
-    poses, thetas = grasp_starts(hull, axes, gripper, options.angles, options.margin * length)
-    taken = _evenly(len(poses), options.max_starts)
-    poses, scaled = poses[taken], thetas[taken, None] / length
-    merit = _screened(poses, scaled, problem, length, options.refined)
-    chosen = np.resize(np.argsort(merit, kind="stable")[: options.refined], options.refined)
-    refined, terms, spent = jax.device_get(
-        _refine(poses[chosen], scaled[chosen], problem, options.max_evaluations, length=length)
-    )
-    evaluations = len(poses) + int(spent.sum())
-    grasps = []
-    contact_found = False
-    for pose, quality, clearance, violation, theta in zip(
-        refined, terms.quality, terms.clearance, terms.violation, terms.closing[:, 0] * length, strict=True
-    ):
-        if not np.isfinite(violation) or violation > 0.01:
-            continue
-        contact_found = True
-        if quality < options.quality_threshold:
-            continue
-        opening = min(theta + options.margin * length, float(gripper.upper))
-        grasps.append(Grasp(np.asarray(pose), float(theta), float(opening), float(quality), float(clearance)))
+    grasps: list[Grasp] = []
+    for batch in search.grasps():
+        grasps = _distinct([*grasps, *(found.grasp for found in batch)], length)
+        if len(grasps) >= search.options.enough:
+            break
     if not grasps:
-        return GraspResult((), evaluations, "poor quality" if contact_found else "enclosed")
+        return GraspResult((), search.evaluations, search.reason)
     # A grasp near the centre of mass has less of a torque to hold: an opening's distance counts as 0.3 of quality.
     grasps.sort(
         key=lambda grasp: 0.3 * float(np.linalg.norm(grasp.pose[4:] - target.center_of_mass)) / length - grasp.quality
     )
-    return GraspResult(tuple(_distinct(grasps, length)), evaluations, "")
+    return GraspResult(tuple(grasps), search.evaluations, "")
 
 
-def _evenly(count: int, limit: int) -> np.ndarray:
-    """At most ``limit`` of ``count`` indices, evenly taken."""
-    return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)
+def _spread(poses: Float[np.ndarray, "K 7"], distance: float) -> tuple[list[int], list[int]]:
+    """Indices of poses that differ from all before by 20° or by ``distance``, and the others."""
+    first: list[int] = []
+    rest: list[int] = []
+    for i in range(len(poses)):
+        same = np.abs(poses[first, :4] @ poses[i, :4]) > np.cos(np.radians(10))
+        near = np.linalg.norm(poses[first, 4:] - poses[i, 4:], axis=1) < distance
+        (rest if (same & near).any() else first).append(i)
+    return first, rest
 
 
-def _screened(
-    poses: np.ndarray, scaled: np.ndarray, problem: GraspProblem, length: float, batch: int
-) -> Float[np.ndarray, " K"]:
-    """How far each start is from a good grasp: its violations, less a little for its quality; one evaluation each."""
-    merits: list[np.ndarray] = []
-    for begin in range(0, len(poses), batch):
-        taken = np.resize(np.arange(begin, min(begin + batch, len(poses))), batch)
-        _, terms, _ = jax.device_get(_refine(poses[taken], scaled[taken], problem, 1, length=length))
-        merits.append(terms.lacking - 0.2 * terms.quality)
-    return np.concatenate(merits)[: len(poses)]
-
-
-def _distinct(grasps: list[Grasp], length: float) -> list[Grasp]:
+def _distinct(grasps: Sequence[Grasp], length: float) -> list[Grasp]:
     kept: list[Grasp] = []
     for grasp in grasps:
         turn = Rotation.from_quat(grasp.pose[:4], scalar_first=True)

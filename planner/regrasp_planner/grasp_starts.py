@@ -1,14 +1,20 @@
-"""Where GraspGen starts: a gripper reduced to few bodies, axes to close along, and approaches about them."""
+"""Where GraspGen starts: axes to close along, approaches about them, and a gripper reduced to few bodies.
+
+A start is worked out on the target alone, in closed form: the closing axis is a critical direction of the width
+function, and lines cast along the axis and along the approach tell where the pads touch and how far the gripper can be
+pushed over the target. So the fingers of a start touch on opposite sides; only the obstacles are left to look after.
+"""
 
 from __future__ import annotations
 
 import weakref
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+from jaxtyping import Float, Int
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from regrasp_planner.geometry.hull import facets, qhull
 from regrasp_planner.geometry.support import ConvexBody, support_value
@@ -27,8 +33,24 @@ def _hull_of(bodies: ConvexBody, indices: np.ndarray) -> ConvexBody:
     return ConvexBody.from_vertices(np.concatenate(points), radius=radius, max_vertices=16)
 
 
+def outer_corners(body: ConvexBody) -> Float[np.ndarray, "N 3"]:
+    """Points whose hull holds the body with its sweep: its vertices, and where it is swept a cube about each."""
+    vertices, radius = body.hull_vertices(), float(body.radius)
+    if radius == 0:
+        return vertices
+    cube = np.array(np.meshgrid(*[[-radius, radius]] * 3)).reshape(3, -1).T
+    return (vertices[:, None] + cube).reshape(-1, 3)
+
+
 class GripperBodies(NamedTuple):
-    """A gripper reduced to what GraspGen needs: hulls of palm and fingers, pads, free length of the fingers."""
+    """A gripper reduced to what GraspGen needs.
+
+    Attributes:
+        hand: convex hulls of the palm and of each finger at θ = 0, stacked, in the gripper frame.
+        pads: the two contact bodies at θ = 0, stacked, in the gripper frame.
+        finger_length: distance from the palm to the gripper frame's origin along the approach axis, metres.
+        tip_length: how far the fingers reach beyond it, metres.
+    """
 
     hand: ConvexBody
     pads: ConvexBody
@@ -41,11 +63,7 @@ _REDUCED: dict[int, GripperBodies] = {}
 
 
 def reduce_gripper(gripper: Gripper) -> GripperBodies:
-    """Convex hulls of the palm and of each finger, stacked, and the two pads; computed once per gripper.
-
-    ``finger_length`` is the distance from the palm to the gripper frame's origin along the approach axis,
-    and ``tip_length`` how far the fingers reach beyond it, metres.
-    """
+    """Convex hulls of the palm and of each finger, and the two pads; computed once per gripper."""
     if id(gripper) in _REDUCED:
         return _REDUCED[id(gripper)]
     owner = np.asarray(gripper.finger_of)
@@ -64,7 +82,7 @@ def reduce_gripper(gripper: Gripper) -> GripperBodies:
 def closing_axes(
     hull: Float[np.ndarray, "N 3"], max_width: float, max_axes: int
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
-    """Axes along which the target can be taken between two parallel pads: the local minima of its width function.
+    """Axes along which a convex body can be taken between two parallel pads: the local minima of its width function.
 
     At a critical direction of w(x) = h(x) + h(−x) the support points s(x) and s(−x) differ by a multiple of x: they
     are antipodal, with normals ±x. Now w is itself a support function, that of the difference body {a − b}; so, as
@@ -72,12 +90,12 @@ def closing_axes(
     exact, and there is nothing to iterate. Where minima crowd (round a can, all over a ball) some are picked apart.
 
     Args:
-        hull: (N, 3) the target's vertices.
+        hull: (N, 3) the body's vertices.
         max_width: widest graspable width, metres.
         max_axes: most axes to give.
 
     Returns:
-        (m, 3) unit axes, narrowest first, and (m,) widths, metres. Empty if the target is too wide everywhere.
+        (m, 3) unit axes, narrowest first, and (m,) widths, metres. Empty if the body is too wide everywhere.
     """
     corners = hull[qhull(hull).vertices]
     differences = (corners[:, None] - corners[None]).reshape(-1, 3)
@@ -99,61 +117,225 @@ def closing_axes(
     return axes[chosen], widths[chosen]
 
 
-def _perpendicular(axis: np.ndarray) -> np.ndarray:
-    other = np.eye(3)[np.argmin(np.abs(axis))]
-    first = np.cross(axis, other)
-    return first / np.linalg.norm(first)
+def clip_lines(
+    points: Float[np.ndarray, "*batch P 3"], direction: Float[np.ndarray, "*batch 3"], planes: Float[np.ndarray, "F 4"]
+) -> tuple[Float[np.ndarray, "*batch P"], Float[np.ndarray, "*batch P"]]:
+    """Where lines enter and leave the convex body n·x ≤ b.
+
+    Args:
+        points: P points of each batch, metres.
+        direction: one unit direction per batch.
+        planes: (n, b) of the body's facets.
+
+    Returns:
+        Distances from the points along the direction at which the lines enter and leave, metres; +∞ and −∞ where they
+        miss the body.
+    """
+    speed = (direction @ planes[:, :3].T)[..., None, :]
+    gap = planes[:, 3] - points @ planes[:, :3].T
+    along = np.abs(speed) < 1e-9
+    crossing = gap / np.where(along, 1.0, speed)
+    enter = np.where(speed < -1e-9, crossing, np.where(along & (gap < 0), np.inf, -np.inf)).max(axis=-1)
+    leave = np.where(speed > 1e-9, crossing, np.inf).min(axis=-1)
+    hit = enter < leave
+    return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
+
+
+class Starts(NamedTuple):
+    """Start grasps.
+
+    Attributes:
+        poses: (K, 7) gripper poses in the target's frame.
+        thetas: (K,) finger coordinates at which the pads touch.
+        depths: (K,) distance of the grasp centre from the faces of the part taken that the fingers do not press on,
+            metres; positive inside.
+        taken: (K,) index of the part of the target that is between the pads.
+    """
+
+    poses: Float[np.ndarray, "K 7"]
+    thetas: Float[np.ndarray, " K"]
+    depths: Float[np.ndarray, " K"]
+    taken: Int[np.ndarray, " K"]
+
+    @staticmethod
+    def none() -> Starts:
+        """No starts at all."""
+        return Starts(np.zeros((0, 7)), np.zeros(0), np.zeros(0), np.zeros(0, int))
+
+    @staticmethod
+    def concatenate(several: Sequence[Starts]) -> Starts:
+        """All starts of several."""
+        return Starts(*(np.concatenate(leaves) for leaves in zip(*several, strict=True)))
 
 
 def grasp_starts(
-    hull: Float[np.ndarray, "N 3"], axes: Float[np.ndarray, "m 3"], gripper: Gripper, angles: int, margin: float
-) -> tuple[Float[np.ndarray, "K 7"], Float[np.ndarray, " K"]]:
-    """Start grasps: each closing axis, approach angles about it, and a few offsets across the fingers.
+    pieces: Sequence[Float[np.ndarray, "N 3"]],
+    taken: int,
+    part: Float[np.ndarray, "M 3"],
+    axes: Float[np.ndarray, "m 3"],
+    gripper: Gripper,
+    angles: int,
+    margin: float,
+) -> Starts:
+    """Start grasps of one part of the target: closing axes, approach angles about each, offsets across and along.
 
-    The gripper is pushed as deep over the target as its palm allows, at most until the grasp centre is level with the
-    middle of the target; slender targets are also taken off their middle, to either side.
+    The gripper is pushed over the part until the grasp centre is level with its middle, or as far as palm and
+    fingertips go; and once more only so far that the pads hold on. Long parts are also taken off their middle.
 
     Args:
-        hull: (N, 3) the target's vertices.
+        pieces: vertices of the target's convex pieces, metres.
+        taken: index of the part, which the starts carry.
+        part: (M, 3) vertices of the convex part between the pads.
         axes: (m, 3) closing axes.
         gripper: the gripper.
         angles: approach angles about each axis.
-        margin: clearance of the palm from the target, metres.
+        margin: clearance of palm and fingertips from the target, metres.
 
     Returns:
-        (K, 7) gripper poses in the target's frame and (K,) finger coordinates.
+        `Starts`. Those whose pads would not meet the part, or are too far apart for the gripper, are left out.
     """
     reduced = reduce_gripper(gripper)
-    frame = np.stack([np.asarray(gripper.width_axis), np.asarray(gripper.approach_axis)], axis=1)
-    frame = np.column_stack([frame, np.cross(frame[:, 0], frame[:, 1])])
+    width_axis = np.asarray(gripper.width_axis)
+    tool = np.stack([width_axis, np.asarray(gripper.approach_axis)], axis=1)
+    tool = np.column_stack([tool, np.cross(tool[:, 0], tool[:, 1])])
+    frames, origins = _approaches(part, axes, angles, 0.5 * float(gripper.max_opening))
+    turns = frames @ tool.T
+    closing, approach = frames[:, :, 0], frames[:, :, 1]
+
+    # How far the gripper goes forward until the palm or an opened fingertip meets the target.
+    local = np.einsum("nj,kji->kni", part, frames)
+    low, high = local.min(axis=1), local.max(axis=1)
+    opened = np.minimum(_theta_of_width(gripper, (high - low)[:, 0]) + margin, float(gripper.upper))
+    probes = origins[:, None] + np.einsum("kij,kpj->kpi", turns, _fronts(gripper, reduced, opened))
+    limit = np.min([clip_lines(probes, approach, hull_planes(each))[0].min(axis=1) for each in pieces], axis=0)
+    limit = np.minimum(limit, _under_palm(np.concatenate(pieces), origins, turns, reduced, gripper)) - margin
+    deep = np.minimum(0.0, limit)
+    shallow = low[:, 1] - (origins * approach).sum(axis=1) + 0.6 * reduced.tip_length
+    index = np.concatenate([np.arange(len(deep)), np.flatnonzero(shallow < deep - 0.25 * float(gripper.max_opening))])
+    forward = np.concatenate([deep, shallow[index[len(deep) :]]])
+    origins = origins[index] + forward[:, None] * approach[index]
+
+    # Where the pads touch: the outermost points of the part between them.
+    planes = hull_planes(part)
+    pad = _face(reduced.pads[0].hull_vertices(), width_axis)
+    pad = pad - np.outer(pad @ width_axis, width_axis)
+    over = origins[:, None] + np.einsum("kij,pj->kpi", turns[index], pad)
+    enter, leave = clip_lines(over, closing[index], planes)
+    first, last = enter.min(axis=1), leave.max(axis=1)
+    fits = np.flatnonzero((last > first) & (last - first <= float(gripper.max_opening)))
+    index, first, last = index[fits], first[fits], last[fits]
+    origins = origins[fits] + (0.5 * (first + last))[:, None] * closing[index]
+    facing = np.abs(closing[index] @ planes[:, :3].T) > 0.9
+    depths = np.where(facing, np.inf, planes[:, 3] - origins @ planes[:, :3].T).min(axis=1)
+    quaternions = Rotation.from_matrix(turns[index]).as_quat(scalar_first=True).reshape(-1, 4)
+    poses = np.concatenate([quaternions, origins], axis=1)
+    return Starts(poses, _theta_of_width(gripper, last - first), depths, np.full(len(index), taken))
+
+
+def uniform_starts(hull: Float[np.ndarray, "N 3"], gripper: Gripper, count: int, seed: int) -> Starts:
+    """Plain multi-start: grippers turned at random, half open, their palms just off the middle of the target.
+
+    Args:
+        hull: (N, 3) the target's vertices.
+        gripper: the gripper.
+        count: number of starts.
+        seed: of their orientations.
+    """
+    turns = Rotation.random(count, rng=np.random.default_rng(seed))
+    approach = turns.apply(np.asarray(gripper.approach_axis))
+    middle = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+    reach = (hull @ approach.T).min(axis=0) - approach @ middle
+    back = np.minimum(0.0, reach + reduce_gripper(gripper).finger_length)
+    poses = np.concatenate([turns.as_quat(scalar_first=True), middle + back[:, None] * approach], axis=1)
+    half = 0.5 * (float(gripper.lower) + float(gripper.upper))
+    return Starts(poses, np.full(count, half), np.zeros(count), np.zeros(count, int))
+
+
+def gripper_corners(
+    gripper: Gripper, poses: Float[np.ndarray, "K 7"], theta: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "K G 3"]:
+    """Corners of palm and fingers (their hulls), in the frame the gripper poses are given in, metres."""
+    hand = reduce_gripper(gripper).hand
+    palm, *fingers = (outer_corners(hand[k]) for k in range(3))
+    corners = [np.broadcast_to(palm, (len(theta), *palm.shape))]
+    corners += [_moved(points, screw, theta) for points, screw in zip(fingers, np.asarray(gripper.screws), strict=True)]
+    turns = Rotation.from_quat(poses[:, :4], scalar_first=True).as_matrix().reshape(-1, 3, 3)
+    return np.einsum("kij,kgj->kgi", turns, np.concatenate(corners, axis=1)) + poses[:, None, 4:]
+
+
+def _moved(
+    points: Float[np.ndarray, "P 3"], screw: Float[np.ndarray, " 6"], theta: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "K P 3"]:
+    """Points of a finger at several finger coordinates, in the gripper frame."""
+    motion = RigidTransform.from_exp_coords(theta[:, None] * np.concatenate([screw[3:], screw[:3]]))
+    return np.einsum("kij,pj->kpi", motion.rotation.as_matrix(), points) + motion.translation[:, None]
+
+
+def _approaches(
+    piece: Float[np.ndarray, "N 3"], axes: Float[np.ndarray, "m 3"], angles: int, long: float
+) -> tuple[Float[np.ndarray, "K 3 3"], Float[np.ndarray, "K 3"]]:
+    """Frames (closing, approach, across) and points level with the middle of the piece, the same number per axis."""
     turns = np.arange(angles) * (2 * np.pi / angles)
-    half_opening = 0.5 * float(gripper.max_opening)
     frames: list[np.ndarray] = []
     origins: list[np.ndarray] = []
-    thetas: list[float] = []
     for axis in axes:
-        high, low = (hull @ axis).max(), (hull @ axis).min()
-        first = _perpendicular(axis)
+        other = np.eye(3)[np.argmin(np.abs(axis))]
+        first = np.cross(axis, other) / np.linalg.norm(np.cross(axis, other))
         approach = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(axis, first))
-        across = np.cross(axis, approach)
-        along, sideways = hull @ approach.T, hull @ across.T
-        # Depth of the grasp centre along the approach, limited by the palm touching the nearest point.
-        middle = 0.5 * (along.max(0) + along.min(0))
-        depth = np.minimum(middle, along.min(0) + reduced.finger_length - margin)
-        center, half = 0.5 * (sideways.max(0) + sideways.min(0)), 0.5 * (sideways.max(0) - sideways.min(0))
-        for k in range(angles):
-            offsets = (0.0,) if half[k] < half_opening else (0.0, 0.45 * half[k], -0.45 * half[k])
-            for offset in offsets:
-                level = 0.5 * (high + low) * axis
-                origins.append(level + depth[k] * approach[k] + (center[k] + offset) * across[k])
-                frames.append(np.column_stack([axis, approach[k], across[k]]) @ frame.T)
-                thetas.append(_theta_of_width(gripper, high - low))
-    quaternions = Rotation.from_matrix(np.array(frames)).as_quat(scalar_first=True)
-    return np.concatenate([quaternions, np.array(origins)], axis=1), np.array(thetas)
+        frame = np.stack([np.broadcast_to(axis, approach.shape), approach, np.cross(axis, approach)], axis=2)
+        local = np.einsum("nj,kji->kni", piece, frame)
+        low, high = local.min(axis=1), local.max(axis=1)
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        # Off the middle by as much as leaves the pads on the piece, at least where it is longer than the gripper.
+        off = np.where(half[:, 2] > long, 0.6, 0.4) * half[:, 2]
+        for offset in (0.0 * off, off, -off):
+            frames.append(frame)
+            origins.append(np.einsum("kij,kj->ki", frame, middle + offset[:, None] * [0.0, 0.0, 1.0]))
+    return np.concatenate(frames), np.concatenate(origins)
 
 
-def _theta_of_width(gripper: Gripper, width: float) -> float:
+def _fronts(gripper: Gripper, reduced: GripperBodies, opened: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K P 3"]:
+    """Points on the fronts of the palm and of both fingers, opened to each θ, in the gripper frame."""
+    axis = np.asarray(gripper.approach_axis)
+    palm, *fingers = (_face(outer_corners(reduced.hand[k]), axis) for k in range(3))
+    moved = [_moved(front, screw, opened) for front, screw in zip(fingers, np.asarray(gripper.screws), strict=True)]
+    return np.concatenate([np.broadcast_to(palm, (len(opened), *palm.shape)), *moved], axis=1)
+
+
+def _under_palm(
+    corners: Float[np.ndarray, "N 3"],
+    origins: Float[np.ndarray, "K 3"],
+    turns: Float[np.ndarray, "K 3 3"],
+    reduced: GripperBodies,
+    gripper: Gripper,
+) -> Float[np.ndarray, " K"]:
+    """How far the gripper goes forward until the palm meets the first of the target's corners in front of it."""
+    axis = np.asarray(gripper.approach_axis)
+    palm = outer_corners(reduced.hand[0])
+    local = np.einsum("knj,kji->kni", corners - origins[:, None], turns)
+    level = 1.0 - np.abs(axis)
+    inside = ((local >= palm.min(axis=0)) & (local <= palm.max(axis=0)) | (level < 0.5)).all(axis=2)
+    return np.where(inside, local @ axis + reduced.finger_length, np.inf).min(axis=1)
+
+
+def _face(vertices: Float[np.ndarray, "N 3"], normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "9 3"]:
+    """A grid of 3 × 3 points over the outermost extent along ``normal``, spread over the body's width across it."""
+    other = np.eye(3)[np.argmin(np.abs(normal))]
+    first = np.cross(normal, other) / np.linalg.norm(np.cross(normal, other))
+    frame = np.stack([first, np.cross(normal, first), normal], axis=1)
+    local = vertices @ frame
+    low, high = local.min(axis=0), local.max(axis=0)
+    grid = np.stack(np.meshgrid(*np.linspace(low[:2], high[:2], 3).T, [high[2]], indexing="ij"), axis=-1)
+    return grid.reshape(-1, 3) @ frame.T
+
+
+def hull_planes(vertices: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "F 4"]:
+    """Planes (n, b) of the facets of a hull, n·x ≤ b inside; facets that lie in one plane give it once."""
+    planes = qhull(vertices).equations * [1.0, 1.0, 1.0, -1.0]
+    return planes[np.unique(planes.round(7), axis=0, return_index=True)[1]]
+
+
+def _theta_of_width(gripper: Gripper, width: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """Finger coordinate at which the pads are ``width`` apart, by linear interpolation between the limits."""
-    share = width / float(gripper.max_opening)
     low, high = float(gripper.lower), float(gripper.upper)
-    return float(np.clip(low + share * (high - low), low, high))
+    return np.clip(low + width / float(gripper.max_opening) * (high - low), low, high)

@@ -29,12 +29,14 @@ from regrasp_planner.collision import (
     pair_clearances,
 )
 from regrasp_planner.optim import ConstrainedResult, Euclidean, augmented_lagrangian
-from regrasp_planner.robot import Arm, forward_kinematics
+from regrasp_planner.robot import Arm, Robot, forward_kinematics
 
 POSITION_TOLERANCE = 1e-4
 ROTATION_TOLERANCE = 1e-3
 SLOTS, STARTS = 8, 32
 """Starts run in lanes of 8 slots × 32, whatever the number of targets, which share the slots evenly."""
+QUICK_TARGETS, QUICK_STARTS, QUICK_TOLERANCE = 64, 6, 5e-3
+"""Of `within_reach`: targets in a batch, starts for each, and the miss (metres) that passes."""
 ENOUGH = 10
 FIRST_ITERATIONS = 24
 FULL_ITERATIONS = 60
@@ -177,6 +179,30 @@ def solve_ik(
     for group in _groups([s for s in searches if not s.found and s.colliding]):
         _escape(arm, group, max_solutions)
     return [_result(arm, search, max_solutions) for search in searches]
+
+
+def within_reach(robot: Robot, targets: Float[np.ndarray, "K 7"], seed: int = 0) -> Bool[np.ndarray, " K"]:
+    """Which gripper poses the arm reaches within its limits, collisions aside; a quick look from a few starts.
+
+    Args:
+        robot: the robot.
+        targets: (K, 7) poses of the gripper frame in the world.
+        seed: of the random starts.
+    """
+    arm, count = robot.arm, len(targets)
+    low, high = np.asarray(arm.lower, float), np.asarray(arm.upper, float)
+    starts = np.random.default_rng(seed).uniform(low, high, (QUICK_TARGETS, QUICK_STARTS, arm.dof))
+    starts[:, 0] = np.asarray(robot.home)
+    found = np.zeros(count, bool)
+    for begin in range(0, count, QUICK_TARGETS):
+        chosen = np.arange(begin, min(begin + QUICK_TARGETS, count))
+        some = targets[np.resize(chosen, QUICK_TARGETS)]
+        lanes = _Lanes(
+            *map(np.asarray, reach(arm, jnp.asarray(some), jnp.asarray(starts), jnp.asarray(1), jnp.asarray(24)))
+        )
+        miss = lanes.miss().reshape(QUICK_TARGETS, QUICK_STARTS).min(axis=1)
+        found[chosen] = miss[: len(chosen)] < QUICK_TOLERANCE
+    return found
 
 
 def _groups(searches: list[_Search]) -> list[list[_Search]]:

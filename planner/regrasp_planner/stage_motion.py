@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.collision import IDENTITY, CollisionModel, collision_model
-from regrasp_planner.grasp_gen import Grasp
+from regrasp_planner.grasp import Grasp
 from regrasp_planner.ik_solve import solve_ik
 from regrasp_planner.path_plan import PathOptions, PathResult, cartesian_path, plan_path
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
@@ -164,10 +164,12 @@ class Reach:
     Attributes:
         inward: the line to the grasp (approach, or lowering the held target).
         outward: the line away from it (lift, or retreat).
+        opening: finger coordinate of the open gripper on its line.
     """
 
     inward: Trajectory
     outward: Trajectory
+    opening: float
 
 
 class Reaches:
@@ -214,15 +216,17 @@ class StageMotion:
     def takes(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
         """Approach and lift, for the target standing at ``pose``."""
         names = SegmentKind.APPROACH, SegmentKind.LIFT
-        lines = self._lines_from(kind, grasp, pose, ends, self.options.lift, names)
-        ways = (line if isinstance(line, Failure) else Reach(line[0].reversed(), line[1]) for line in lines)
+        lines = self._lines_from(kind, grasp, pose, ends, self.options.lift, names, (grasp.opening,))
+        ways = (line if isinstance(line, Failure) else Reach(line[0].reversed(), *line[1:]) for line in lines)
         return Reaches(ways, _unreachable(kind, ends))
 
-    def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
-        """Lowering and retreat, for the target let go at ``pose``."""
+    def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends, wide: bool = False) -> Reaches:
+        """Lowering and retreat, for the target let go at ``pose``; with fingers opened ``wide`` if they can be."""
         names = SegmentKind.RETREAT, SegmentKind.LOWER
-        lines = self._lines_from(kind, grasp, pose, ends, self.options.lower, names)
-        ways = (line if isinstance(line, Failure) else Reach(line[1].reversed(), line[0]) for line in lines)
+        upper = float(self.surroundings.robot.gripper.upper)
+        openings = (upper, grasp.opening) if wide else (grasp.opening,)
+        lines = self._lines_from(kind, grasp, pose, ends, self.options.lower, names, openings)
+        ways = (line if isinstance(line, Failure) else Reach(line[1].reversed(), line[0], line[2]) for line in lines)
         return Reaches(ways, _unreachable(kind, ends))
 
     def _lines_from(
@@ -233,13 +237,21 @@ class StageMotion:
         ends: Ends,
         heights: Sequence[float],
         names: tuple[SegmentKind, SegmentKind],
-    ) -> Iterator[tuple[Trajectory, Trajectory] | Failure]:
-        """From each configuration at the grasp: the empty gripper's line off the target, and the full one's line up."""
+        openings: Sequence[float],
+    ) -> Iterator[tuple[Trajectory, Trajectory, float] | Failure]:
+        """From each configuration at the grasp: the empty gripper's line off the target, and the full one's line up.
+
+        With them comes the first of the ``openings`` at which the empty gripper's line works.
+        """
         empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
         back = self._withdrawals(grasp.gripper_pose(pose))
         raises = [np.array([0.0, 0.0, height]) for height in heights]
         for q in ends.configurations:
-            off = self._line(empty, q, back, grasp.opening)
+            opening, *others = openings
+            off = self._line(empty, q, back, opening)
+            while not isinstance(off, Trajectory) and others:
+                opening, *others = others
+                off = self._line(empty, q, back, opening)
             if not isinstance(off, Trajectory):
                 yield _no_path(kind, names[0], off)
                 continue
@@ -247,7 +259,7 @@ class StageMotion:
             if not isinstance(up, Trajectory):
                 yield _no_path(kind, names[1], up)
                 continue
-            yield off, up
+            yield off, up, opening
 
     def join(
         self,
@@ -291,8 +303,8 @@ class StageMotion:
                 Segment(SegmentKind.LIFT, take.outward, closed, holding=True),
                 Segment(SegmentKind.TRANSFER, transfer.trajectory, closed, holding=True),
                 Segment(SegmentKind.LOWER, put.inward, closed, holding=True),
-                Segment(SegmentKind.OPEN, None, grasp.opening, holding=False),
-                Segment(SegmentKind.RETREAT, put.outward, grasp.opening, holding=False),
+                Segment(SegmentKind.OPEN, None, put.opening, holding=False),
+                Segment(SegmentKind.RETREAT, put.outward, put.opening, holding=False),
             )
             return Stage(kind, grasp, start_pose, release_pose, settled_pose, segments)
         return last

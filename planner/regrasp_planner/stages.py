@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from regrasp_planner.grasp_gen import Grasp
+import numpy as np
+from jaxtyping import Float
+
+from regrasp_planner.grasp import Grasp
 from regrasp_planner.pose import Pose
 from regrasp_planner.trajectory import Trajectory
 
@@ -17,6 +20,12 @@ class Strategy(StrEnum):
     """One grasp from pick to place."""
     STATIC = "static"
     """One regrasp, the target being put down in a stable pose where needed."""
+    NONSTATIC = "nonstatic"
+    """One regrasp, the target being let go tilted where needed, to settle into a stable pose (GraspGen⁺)."""
+    REPEATED = "repeated"
+    """As many regrasps as needed, up to a bound."""
+    SAMPLING = "sampling"
+    """The baseline: one grasp from pick to place, chosen from many random ones instead of by GraspGen."""
 
 
 class StageKind(StrEnum):
@@ -54,6 +63,8 @@ class Reason(StrEnum):
 
     TOO_WIDE = "too wide"
     """The target is wider than the gripper opens, in every direction."""
+    ENCLOSED = "enclosed"
+    """No grasp keeps clear of the obstacles around the target in one scene alone."""
     NO_COMMON_GRASP = "no common grasp"
     """No grasp keeps clear of the obstacles of both scenes of a stage together."""
     NO_STABLE_POSE = "no stable pose"
@@ -131,6 +142,12 @@ class Stage:
     settled_pose: Pose
     segments: tuple[Segment, ...]
 
+    @property
+    def end(self) -> Float[np.ndarray, " n"]:
+        """Configuration of the arm at the end, (n,) radians."""
+        last = [segment.trajectory for segment in self.segments if segment.trajectory is not None][-1]
+        return last.goal
+
 
 @dataclass(frozen=True)
 class PlanStats:
@@ -138,10 +155,12 @@ class PlanStats:
 
     Attributes:
         eval_grasp_calls: evaluated grasps, each member of a batch counted (Table IV).
+        ordered_starts: start grasps put in order by bounding boxes, which evaluates none of them.
         seconds: wall-clock seconds by module ("grasp_gen", "stab_pose", "ik_solve", "path_plan", "total").
     """
 
     eval_grasp_calls: int = 0
+    ordered_starts: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
 
 

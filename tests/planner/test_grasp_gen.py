@@ -8,15 +8,21 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.support import ConvexBody
-from regrasp_planner.grasp_gen import (
-    GraspGenOptions,
-    generate_grasps,
-    grasp_objective,
-    grasp_problem,
+from regrasp_planner.grasp import GraspGenOptions, StartKind
+from regrasp_planner.grasp_gen import GraspSearch, generate_grasps
+from regrasp_planner.grasp_order import bounding_boxes, overlaps
+from regrasp_planner.grasp_problem import grasp_objective, grasp_problem
+from regrasp_planner.grasp_starts import (
+    clip_lines,
+    closing_axes,
+    grasp_starts,
+    gripper_corners,
+    hull_planes,
+    reduce_gripper,
 )
-from regrasp_planner.grasp_starts import closing_axes, grasp_starts, reduce_gripper
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 from regrasp_planner.pose import rigid, wxyz_xyz
+from regrasp_planner.release import ReleaseCone, plane_clearance
 from regrasp_planner.scene import Body, Scene
 
 OPTIONS = GraspGenOptions()
@@ -132,13 +138,67 @@ def test_closing_axes_are_the_local_minima_of_the_width(seed):
         assert np.abs(axes @ x).max() > np.cos(np.radians(3.5))
 
 
-def test_starts_keep_the_palm_off_the_target(panda):
-    axes = np.array([[1.0, 0, 0]])
-    poses, thetas = grasp_starts(box().hull_vertices(), axes, panda.gripper, OPTIONS.angles, 0.005)
-    palm = reduce_gripper(panda.gripper).hand[0]
-    for pose, theta in zip(poses, thetas, strict=True):
-        assert gap(palm, pose, box().pieces[0], [1, 0, 0, 0, 0, 0, 0]) > -1e-3
-        assert theta == pytest.approx(SIZE[0] / 2)
+@pytest.mark.parametrize("seed", range(4))
+def test_lines_are_clipped_by_a_hull_where_they_pierce_it(seed):
+    """Just inside of both ends a point is in the hull, just outside it is not; lines that miss say so."""
+    rng = np.random.default_rng(seed)
+    hull = rng.normal(size=(25, 3))
+    planes = hull_planes(hull)
+    points = 1.5 * rng.normal(size=(40, 5, 3))
+    directions = rng.normal(size=(40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    enter, leave = clip_lines(points, directions, planes)
+    hit = np.isfinite(enter)
+    assert 20 < hit.sum() < 190
+    np.testing.assert_array_equal(hit, np.isfinite(leave))
+
+    def depth(t):
+        at = points + t[..., None] * directions[:, None]
+        return (planes[:, 3] - at @ planes[:, :3].T).min(axis=-1)
+
+    for end, inward in ((enter, 1e-6), (leave, -1e-6)):
+        safe = np.where(hit, end, 0.0)
+        assert (depth(safe + inward)[hit] > -1e-12).all()
+        assert (depth(safe - inward)[hit] < 1e-12).all()
+    along = np.linspace(-6, 6, 400)
+    inside = np.stack([depth(np.full(hit.shape, t)) for t in along]).max(axis=0)
+    assert (inside[~hit] < 0).all()
+
+
+@pytest.mark.parametrize("body", [box(), prism()], ids=["box", "can"])
+def test_starts_touch_with_both_pads_and_keep_the_palm_off(panda, body):
+    hull, gripper = body.hull_vertices(), panda.gripper
+    axes, _ = closing_axes(hull, 0.08, 4)
+    starts = grasp_starts([hull], 0, hull, axes, gripper, 12, 0.005)
+    palm = reduce_gripper(gripper).hand[0]
+    deep = np.flatnonzero(starts.depths > 0.005)
+    assert len(deep) > 20
+    for pose, theta in list(zip(starts.poses[deep], starts.thetas[deep], strict=True))[::5]:
+        assert gap(palm, pose, body.pieces[0], [1, 0, 0, 0, 0, 0, 0]) > 2e-3
+        _, fingers = gripper_bodies(gripper, pose, theta)
+        for k in np.asarray(gripper.contact):
+            assert abs(gap(body.pieces[0], [1, 0, 0, 0, 0, 0, 0], *fingers[int(k)])) < 4e-4
+
+
+def test_bounding_boxes_overlap_where_the_bodies_do(panda, build):
+    """Corners inside of a box make them overlap, and they are never farther apart than the bodies in them."""
+    gripper = panda.gripper
+    rng = np.random.default_rng(0)
+    quaternions = rng.normal(size=(200, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    poses = np.concatenate([quaternions, rng.normal(scale=0.12, size=(200, 3))], axis=1)
+    opened = np.full(200, 0.03)
+    block = ConvexBody.stack([ConvexBody.box((0.1, 0.06, 0.04))])
+    total, least = overlaps(poses, opened, gripper, bounding_boxes(block), build.pose()[None], 0.005)
+    corners = gripper_corners(gripper, poses, opened)
+    inside = (np.abs(corners) < [0.05, 0.03, 0.02]).all(axis=2).any(axis=1)
+    assert inside.sum() > 10
+    assert (least[inside] <= 0).all()
+    assert ((total == 0) == (least >= 0.005)).all()
+    for pose, size in zip(poses[::20], least[::20], strict=True):
+        palm, fingers = gripper_bodies(gripper, pose, 0.03)
+        # Boxes are larger than what is in them.
+        assert min(gap(block[0], build.pose(), *part) for part in (*palm, *fingers)) >= size - 1e-6
 
 
 @pytest.mark.parametrize("body", [box(), prism()], ids=["box", "can"])
@@ -189,6 +249,44 @@ def test_too_wide_and_enclosed_targets_are_told_apart(panda, build):
     caged = generate_grasps(box((0.05, 0.05, 0.1)), [Scene("cage", build.pose(), walls)], panda.gripper)
     assert (caged.grasps, caged.reason) == ((), "enclosed")
     assert caged.evaluations > 0
+
+
+def test_searching_again_over_other_ground_evaluates_only_what_is_new(panda, scenes):
+    search = GraspSearch(box(), scenes[:1], panda.gripper)
+    first = [found for batch in search.grasps() for found in batch]
+    spent = search.evaluations
+    assert first
+    assert 0 < spent <= OPTIONS.screened + OPTIONS.refined * OPTIONS.max_evaluations
+    again = next(search.grasps())
+    assert search.evaluations == spent
+    for one, other in zip(again, first, strict=False):
+        np.testing.assert_array_equal(one.grasp.pose, other.grasp.pose)
+
+
+@pytest.mark.parametrize("down", np.concatenate([np.eye(3), -np.eye(3)]).tolist())
+def test_grasps_clear_the_ground_they_are_asked_for(panda, down):
+    """In every pose of a box in which it can be taken, statically and with a tilt within the cone."""
+    body, down = box(), np.array(down)
+    search, margin = GraspSearch(body, (), panda.gripper), OPTIONS.margin * 0.08
+    upright = [found for batch in search.grasps(end=ReleaseCone(down, 0.0)) for found in batch]
+    tilted = [found for batch in search.grasps(end=ReleaseCone(down, 0.3)) for found in batch]
+    assert len(tilted) >= len(upright)
+    assert tilted
+    for found in [*upright, *tilted]:
+        corners = gripper_corners(panda.gripper, found.grasp.pose[None], np.array([found.grasp.opening]))
+        assert plane_clearance(body.hull_vertices(), corners, found.release[None])[0] > margin - 1e-6
+        assert np.arccos(np.clip(found.release @ down, -1, 1)) < 0.3 + 1e-6
+    assert all(found.release @ down > 1 - 1e-12 for found in upright)
+
+
+def test_plain_multi_start_finds_grasps_too_but_for_more_evaluations(panda, scenes):
+    critical = generate_grasps(box(), scenes, panda.gripper, GraspGenOptions(enough=1))
+    options = GraspGenOptions(starts=StartKind.UNIFORM, refined=24, max_evaluations=24, budget=2000, enough=1)
+    uniform = generate_grasps(box(), scenes, panda.gripper, options)
+    assert critical.grasps
+    assert uniform.evaluations > critical.evaluations
+    for grasp in uniform.grasps:
+        assert grasp.quality >= options.quality_threshold
 
 
 def test_same_problem_same_grasps(panda, scenes):

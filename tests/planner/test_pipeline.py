@@ -126,7 +126,7 @@ def test_a_target_wider_than_the_gripper_is_called_too_wide(panda, make_task, bu
 
 
 def test_an_unknown_strategy_is_refused_with_the_known_ones(panda, make_task, build):
-    with pytest.raises(ValueError, match=r"unknown strategy 'magic'.*direct, static"):
+    with pytest.raises(ValueError, match=r"unknown strategy 'magic'.*direct, static, nonstatic, repeated, sampling"):
         plan(make_task(flipped_goal(build)), panda, "magic")
 
 

@@ -1,0 +1,106 @@
+"""In which order GraspGen looks at its start grasps: by how far bounding boxes of gripper and obstacles overlap.
+
+This is a broad phase: boxes overlap where the bodies need not, and no distance between bodies is computed. What it says
+is used for the order alone; whether a grasp is feasible is for the evaluation of the grasp problem to find out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float
+
+from regrasp_planner.geometry.hull import bucket_size
+from regrasp_planner.geometry.support import ConvexBody
+from regrasp_planner.grasp_starts import reduce_gripper
+from regrasp_planner.robot import Gripper
+
+START_BUCKETS = (128, 256, 512, 1024, 2048)
+
+
+class Boxes(NamedTuple):
+    """Boxes along the axes of their bodies' frames: ``center`` (B, 3) and ``half`` sizes (B, 3), metres."""
+
+    center: Float[np.ndarray, "B 3"]
+    half: Float[np.ndarray, "B 3"]
+
+
+def bounding_boxes(bodies: ConvexBody) -> Boxes:
+    """Boxes about stacked bodies, along the axes of each body's own frame."""
+    corners = [bodies[k].hull_vertices() for k in range(bodies.batch_size)]
+    low, high = np.array([each.min(axis=0) for each in corners]), np.array([each.max(axis=0) for each in corners])
+    return Boxes(0.5 * (low + high), 0.5 * (high - low) + np.asarray(bodies.radius)[:, None])
+
+
+def overlaps(
+    poses: Float[np.ndarray, "K 7"],
+    opened: Float[np.ndarray, " K"],
+    gripper: Gripper,
+    obstacles: Boxes,
+    obstacle_poses: Float[np.ndarray, "W 7"],
+    margin: float,
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"]]:
+    """How far boxes about palm and fingers overlap those about the obstacles, by the separating axis theorem.
+
+    Args:
+        poses: gripper poses in the frame the obstacles are given in.
+        opened: finger coordinates.
+        gripper: the gripper.
+        obstacles: boxes about the W obstacles, in the obstacles' frames.
+        obstacle_poses: the obstacles' poses.
+        margin: gap below which boxes count as overlapping, metres.
+
+    Returns:
+        For each grasp the sum of the overlaps over all pairs, metres, 0 where every gap is at least ``margin``; and the
+        least gap, metres, negative where boxes overlap.
+    """
+    hand = bounding_boxes(reduce_gripper(gripper).hand)
+    size = bucket_size(max(len(poses), 1), START_BUCKETS)
+    index = np.resize(np.arange(len(poses)), size)
+    total, least = _overlaps(
+        jnp.asarray(poses[index]), jnp.asarray(opened[index]), jnp.asarray(gripper.screws), hand, obstacles,
+        jnp.asarray(obstacle_poses), margin,
+    )  # fmt: skip
+    return np.asarray(total)[: len(poses)], np.asarray(least)[: len(poses)]
+
+
+@jax.jit
+def _overlaps(
+    poses: Float[Array, "K 7"],
+    opened: Float[Array, " K"],
+    screws: Float[Array, "2 6"],
+    hand: Boxes,
+    obstacles: Boxes,
+    obstacle_poses: Float[Array, "W 7"],
+    margin: Float[Array, ""],
+) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+    turns = jaxlie.SO3(obstacle_poses[:, :4]).as_matrix()
+    centers = jnp.einsum("wij,wj->wi", turns, obstacles.center) + obstacle_poses[:, 4:]
+
+    def gaps(pose: Float[Array, " 7"], theta: Float[Array, ""]) -> Float[Array, "3 W"]:
+        moved = jaxlie.SE3(pose) @ jaxlie.SE3.exp(theta * screws)
+        parts = jaxlie.SE3(jnp.concatenate([pose[None], moved.wxyz_xyz]))
+        own = parts.rotation().as_matrix()
+        between = jnp.einsum("aki,wkj->awij", own, turns)
+        shift = jnp.einsum("aki,awk->awi", own, centers - parts.apply(hand.center)[:, None])
+        size = jnp.abs(between) + 1e-9
+        of_hand = jnp.abs(shift) - hand.half[:, None] - jnp.einsum("awij,wj->awi", size, obstacles.half)
+        across = jnp.abs(jnp.einsum("awi,awij->awj", shift, between))
+        of_obstacle = across - obstacles.half - jnp.einsum("awij,ai->awj", size, hand.half)
+        best = jnp.maximum(of_hand.max(axis=-1), of_obstacle.max(axis=-1))
+        for i in range(3):
+            for j in range(3):
+                k, m, p, q = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+                line = jnp.abs(shift[..., m] * between[..., k, j] - shift[..., k] * between[..., m, j])
+                radii = hand.half[:, None, k] * size[..., m, j] + hand.half[:, None, m] * size[..., k, j]
+                radii += obstacles.half[:, p] * size[..., i, q] + obstacles.half[:, q] * size[..., i, p]
+                length = jnp.sqrt(jnp.maximum(1 - between[..., i, j] ** 2, 0.0))
+                best = jnp.maximum(best, jnp.where(length > 1e-3, (line - radii) / jnp.maximum(length, 1e-3), -jnp.inf))
+        return best
+
+    gap = jax.vmap(gaps)(poses, opened)
+    return jnp.maximum(margin - gap, 0.0).sum(axis=(1, 2)), gap.min(axis=(1, 2))

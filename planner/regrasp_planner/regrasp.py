@@ -1,0 +1,257 @@
+"""Regrasps: the target is put down on one of its stable sides, once or several times, and taken again another way.
+
+A chain start → k₁ → … → kₙ → goal leads over stable poses k. Each link is one grasp that is feasible at both its ends:
+pick and k₁, kᵢ and kᵢ₊₁, kₙ and place (eq. (3)). Whether there are such grasps is found out first, link by link, and
+kept; motion is planned only for chains all of whose links have them, the shortest and most stable ones first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, permutations
+
+import numpy as np
+from jaxtyping import Float
+
+from regrasp_planner.pose import Pose
+from regrasp_planner.release import ReleaseCone, release_cones
+from regrasp_planner.release_pose import resting_poses, tilted_pose
+from regrasp_planner.scene import Scene
+from regrasp_planner.stab_pose import stable_poses
+from regrasp_planner.stage_search import Held, StageSearch, furthest
+from regrasp_planner.stages import Failure, Reason, Stage, StageKind
+
+Links = tuple[list[Held], Failure | None]
+"""Grasps of one link of a chain, and why there are none or no more."""
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """A stable pose: the ground under it with and without tilt, and where the target can stand so."""
+
+    upright: ReleaseCone
+    tilted: ReleaseCone
+    poses: tuple[Pose, ...]
+
+
+class RegraspSearch:
+    """Searches chains of stages over the stable poses of the target.
+
+    Args:
+        stages: what the stages have in common.
+    """
+
+    def __init__(self, stages: StageSearch) -> None:
+        self.stages, self.task, self.options = stages, stages.task, stages.options
+        self._hull = self.task.target.hull_vertices()
+        self._to_release = stages.search(self.task.pick)
+        self._to_place = stages.search(self.task.place)
+        self._on_ground = stages.search()
+        self._links: dict[tuple[int | None, int | None, bool], Links] = {}
+        self._rests = self._stable()
+
+    def _stable(self) -> tuple[_Rest, ...]:
+        """Stable poses that fit the release area, those first that stand up to being let go, most stable first."""
+        target, area = self.task.target, self.task.release
+        poses = self.stages.clock.time("stab_pose", lambda: stable_poses(self._hull, target.center_of_mass))
+        cones = release_cones(poses)
+        order = sorted(range(len(poses)), key=lambda k: cones[k].half_angle <= 0)
+        rests: list[_Rest] = []
+        for k in order:
+            where = resting_poses(area, self._hull, poses.rotations[k], self.options.yaws)
+            if where:
+                rests.append(_Rest(ReleaseCone(cones[k].axis, 0.0), cones[k], tuple(where)))
+        return tuple(rests[: self.options.max_stable_poses])
+
+    def once(self, tilted: bool) -> tuple[Stage, ...] | Failure:
+        """One regrasp; the target let go in its stable pose, or where ``tilted``, to settle into it."""
+        return self._first(((k,) for k in range(len(self._rests))), tilted, len(self._rests))
+
+    def repeated(self) -> tuple[Stage, ...] | Failure:
+        """Several regrasps, each on another side of the target."""
+        outcome: tuple[Stage, ...] | Failure = self._no_rest()
+        for length in range(2, self.options.max_stages):
+            orders = sorted(permutations(range(len(self._rests)), length), key=lambda chain: (sum(chain), chain))
+            outcome = self._first(iter(orders), True, self.options.chains)
+            if not isinstance(outcome, Failure):
+                break
+        return outcome
+
+    # --- chains -------------------------------------------------------------------------------------------------------
+
+    def _first(self, chains: Iterator[tuple[int, ...]], tilted: bool, limit: int) -> tuple[Stage, ...] | Failure:
+        """The stages of the first chain that works, of at most ``limit`` chains that have grasps for all links."""
+        failure: Failure | None = None
+        tried = 0
+        for chain in chains:
+            lacking = self._lacking(chain, tilted)
+            if lacking is not None:
+                failure = furthest(failure, lacking)
+                continue
+            outcome = self._follow(chain, tilted)
+            if not isinstance(outcome, Failure):
+                return outcome
+            failure = furthest(failure, outcome)
+            tried += 1
+            if tried == limit:
+                break
+        return failure or self._no_rest()
+
+    def _lacking(self, chain: tuple[int, ...], tilted: bool) -> Failure | None:
+        """Why one of the links of the chain has no grasp; None if all have."""
+        for link in ((chain[-1], None), (None, chain[0]), *pairwise(chain)):
+            grasps, failure = self._link(*link, tilted)
+            if not grasps:
+                assert failure is not None
+                return failure
+        return None
+
+    def _follow(self, chain: tuple[int, ...], tilted: bool) -> tuple[Stage, ...] | Failure:
+        """Motion for the whole chain."""
+        holding, _ = self._link(None, chain[0], tilted)
+        return self._onward(chain, 0, tilted, holding, self.task.pick.target_pose, np.asarray(self.task.start))
+
+    def _onward(
+        self,
+        chain: tuple[int, ...],
+        done: int,
+        tilted: bool,
+        holding: Sequence[Held],
+        pose: Pose,
+        configuration: Float[np.ndarray, " n"],
+    ) -> tuple[Stage, ...] | Failure:
+        """The stages from the target standing at ``pose``, where it can be taken by the grasps ``holding``."""
+        if done == len(chain):
+            return self._to_goal(chain, tilted, holding, pose, configuration)
+        kind = StageKind.REGRASP_TO_RELEASE if done else StageKind.PICK_TO_RELEASE
+        following = StageKind.REGRASP_TO_PLACE if done + 1 == len(chain) else StageKind.REGRASP_TO_RELEASE
+        link = (chain[done], None) if done + 1 == len(chain) else (chain[done], chain[done + 1])
+        onward, _ = self._link(*link, tilted)
+        failure: Failure | None = None
+        tried = 0
+        for settled in self._rests[chain[done]].poses:
+            retaken, lacking = self.stages.reached(following, [onward], settled, self.stages.motion.takes)
+            if not retaken:
+                failure = furthest(failure, lacking or self.stages.unreachable(following))
+                continue
+            laid = False
+            for stage in self._laid_down(kind, holding, pose, settled, configuration):
+                if isinstance(stage, Failure):
+                    failure = furthest(failure, stage)
+                    continue
+                laid = True
+                rest = self._onward(chain, done + 1, tilted, retaken, settled, stage.end)
+                if not isinstance(rest, Failure):
+                    return (stage, *rest)
+                failure = furthest(failure, rest)
+                break
+            tried += laid
+            if tried == self.options.motion_attempts:
+                break
+        return failure or self._no_rest()
+
+    def _laid_down(
+        self,
+        kind: StageKind,
+        holding: Sequence[Held],
+        pose: Pose,
+        settled: Pose,
+        configuration: Float[np.ndarray, " n"],
+    ) -> Iterator[Stage | Failure]:
+        """Stages that take the target from ``pose`` and let it go so that it settles at ``settled``."""
+        groups: dict[bytes, tuple[Pose, list[Held]]] = {}
+        for held in holding:
+            assert held.down is not None
+            release = tilted_pose(settled, held.down, self._hull, self.options.motion.drop)
+            groups.setdefault(release.tobytes(), (release, []))[1].append(held)
+        for release, grasps in groups.values():
+            for held, ends in zip(grasps, self.stages.ends([held.grasp for held in grasps], release), strict=True):
+                if not ends.configurations:
+                    yield self.stages.unreachable(kind, [ends])
+                    continue
+                assert held.reaches is not None
+                puts = self.stages.motion.puts(kind, held.grasp, release, ends, wide=not _same_turn(release, settled))
+                yield self.stages.motion.join(
+                    kind, held.grasp, pose, release, settled, held.reaches, puts, configuration
+                )
+
+    def _to_goal(
+        self,
+        chain: tuple[int, ...],
+        tilted: bool,
+        holding: Sequence[Held],
+        pose: Pose,
+        configuration: Float[np.ndarray, " n"],
+    ) -> tuple[Stage, ...] | Failure:
+        placing, _ = self._link(chain[-1], None, tilted)
+        putting = {id(held.grasp): held.reaches for held in placing}
+        failure: Failure | None = None
+        for held in holding:
+            puts = putting[id(held.grasp)]
+            assert held.reaches is not None
+            assert puts is not None
+            stage = self.stages.motion.join(
+                StageKind.REGRASP_TO_PLACE,
+                held.grasp,
+                pose,
+                self.stages.goal,
+                self.task.place.target_pose,
+                held.reaches,
+                puts,
+                configuration,
+            )
+            if isinstance(stage, Stage):
+                return (stage,)
+            failure = furthest(failure, stage)
+        return failure or self.stages.unreachable(StageKind.REGRASP_TO_PLACE)
+
+    # --- links --------------------------------------------------------------------------------------------------------
+
+    def _link(self, begin: int | None, end: int | None, tilted: bool) -> Links:
+        """Grasps from stable pose ``begin`` (None: the pick) to ``end`` (None: the goal)."""
+        key = (begin, end, tilted and end is not None)
+        if key not in self._links:
+            self._links[key] = self._linked(begin, end, tilted)
+        return self._links[key]
+
+    def _linked(self, begin: int | None, end: int | None, tilted: bool) -> Links:
+        stages, motion = self.stages, self.stages.motion
+        start = None if begin is None else self._rests[begin].upright
+        ground = None if end is None else self._rests[end].tilted if tilted else self._rests[end].upright
+        if begin is None:
+            kind, search, scene = StageKind.PICK_TO_RELEASE, self._to_release, self.task.pick
+            pose, find = scene.target_pose, motion.takes
+        elif end is None:
+            kind, search, scene = StageKind.REGRASP_TO_PLACE, self._to_place, self.task.place
+            pose, find = stages.goal, motion.puts
+        else:
+            kind, search = StageKind.REGRASP_TO_RELEASE, self._on_ground
+            batches = stages.either_way(search.grasps(start, ground))
+            grasps: list[Held] = []
+            for batch in batches:
+                grasps += batch
+                if len(grasps) >= 2 * self.options.grasps_kept:
+                    break
+            return grasps, None if grasps else stages.no_grasp(kind, search, "both stable poses")
+        found, failure = stages.reached(kind, stages.either_way(search.grasps(start, ground)), pose, find)
+        if not found and failure is None:
+            failure = stages.no_grasp(kind, search, self._between(scene, search.any_feasible))
+        return found, failure
+
+    @staticmethod
+    def _between(scene: Scene, elsewhere: bool) -> str:
+        return f"{scene.name} and release" if elsewhere else scene.name
+
+    def _no_rest(self) -> Failure:
+        name = self.task.target.name
+        return Failure(
+            Reason.NO_STABLE_POSE,
+            StageKind.PICK_TO_RELEASE,
+            "stable pose",
+            f"{name!r} rests in no pose that fits the release area and from which it can be taken on",
+        )
+
+
+def _same_turn(one: Pose, other: Pose) -> bool:
+    return bool(abs(one[:4] @ other[:4]) > 1 - 1e-9)
