@@ -68,7 +68,6 @@ class GraspGenOptions:
     max_axes: int = 12
     screened: int = 24
     budget: int = 120
-    budget: int = 120
     refined: int = 4
     max_evaluations: int = 8
     enough: int = 8

@@ -299,8 +299,8 @@ class GraspSearch:
         """Starts to refine: of those tried the nearest to feasible, then such as only the ground is in the way of."""
         if self.evaluations >= self.options.budget:
             return []
-        if self.evaluations + self.options.max_evaluations > self.options.budget:
-            return []
+        if self.options.starts is StartKind.UNIFORM:
+            return [int(i) for i in self._order]
         merit = {
             i: self._known[i].lacking - 0.2 * self._known[i].quality
             for i in tried
