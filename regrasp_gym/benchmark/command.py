@@ -9,6 +9,7 @@ import tyro
 from rich.console import Console
 
 from regrasp_gym.benchmark.episodes import episodes
+from regrasp_gym.benchmark.ik import ik
 from regrasp_gym.benchmark.modules import modules
 from regrasp_gym.benchmark.path import path
 from regrasp_gym.benchmark.table3 import table3, table4
@@ -17,7 +18,7 @@ from regrasp_gym.errors import EnvError
 
 def main() -> None:
     """Entry point."""
-    tables = {"episodes": episodes, "modules": modules, "path": path, "table3": table3, "table4": table4}
+    tables = {"episodes": episodes, "ik": ik, "modules": modules, "path": path, "table3": table3, "table4": table4}
     try:
         tyro.extras.subcommand_cli_from_dict(tables, description=__doc__)
     except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:

@@ -59,6 +59,11 @@ class ExactChecker:
                 return False
         return True
 
+    def keeps_margins(self, q: Float[np.ndarray, "N n"]) -> Bool[np.ndarray, " N"]:
+        """Which of N configurations keep the whole margin of every pair, as a planner wants it."""
+        beyond = self.margin - self.floor
+        return np.asarray((self.clearances(q, cap=float(beyond.max(initial=0.0))) >= beyond).all(axis=1))
+
     def clearances(self, q: Float[np.ndarray, "N n"], cap: float = 0.0) -> Float[np.ndarray, "N P"]:
         """Distance beyond the least allowed, of all pairs at N configurations, metres.
 
@@ -100,6 +105,22 @@ class ExactChecker:
             within = [a + (b - a) * np.arange(n) / n for a, b, n in zip(at[:-1], at[1:], counts, strict=True)]
             at = np.append(np.concatenate(within), 1.0)
 
+    def frames(self, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N F 4 4"]:
+        """World poses of links 0 … n, the gripper (n + 1), and the world (n + 2), as matrices."""
+        count, dof = q.shape
+        joints = np.zeros((count, dof, 4, 4))
+        sin, cos = np.sin(q)[..., None, None], np.cos(q)[..., None, None]
+        joints[..., :3, :3] = np.eye(3) + sin * self._cross + (1 - cos) * self._cross_squared
+        joints[..., 3, 3] = 1.0
+        joints = self._origins @ joints
+        frames = np.empty((count, dof + 3, 4, 4))
+        frames[:, 0] = self._base
+        for i in range(dof):
+            frames[:, i + 1] = frames[:, i] @ joints[:, i]
+        frames[:, dof + 1] = frames[:, dof] @ self._tool
+        frames[:, dof + 2] = np.eye(4)
+        return frames
+
     def names(self, pair: int) -> tuple[str, str]:
         """Names of the two bodies of a pair."""
         a, b = self.pairs[pair]
@@ -111,8 +132,8 @@ class ExactChecker:
         arm = model.arrays.robot.arm
         self._origins = _matrices(np.asarray(arm.origins))
         self._base, self._tool = _matrices(np.asarray(arm.base)), _matrices(np.asarray(arm.tool))
-        axes = np.asarray(arm.axes)
-        self._cross = np.stack([np.cross(np.eye(3), axis) for axis in axes])
+        self.axes: Float[np.ndarray, "n 3"] = np.asarray(arm.axes)
+        self._cross = np.stack([np.cross(np.eye(3), axis) for axis in self.axes])
         self._cross_squared = self._cross @ self._cross
 
     def _set_bodies(self, model: CollisionModel, theta: float) -> None:
@@ -125,7 +146,8 @@ class ExactChecker:
         number = np.full(len(model.body_names), -1)
         number[self._bodies] = np.arange(len(self._bodies))
         self.pairs: Int[np.ndarray, "P 2"] = np.sort(number[listed], axis=1)
-        self.floor: Float[np.ndarray, " P"] = np.minimum(np.asarray(arrays.margin, float)[used], 0.0)
+        self.margin: Float[np.ndarray, " P"] = np.asarray(arrays.margin, float)[used]
+        self.floor: Float[np.ndarray, " P"] = np.minimum(self.margin, 0.0)
         self._body_names = [model.body_names[i] for i in self._bodies]
 
         # Each body rides on a frame: link 0 … n, the gripper (n + 1), or the world (n + 2).
@@ -186,19 +208,7 @@ class ExactChecker:
     # --- a configuration ----------------------------------------------------------------------------------------------
 
     def _poses(self, q: Float[np.ndarray, "N n"]) -> tuple[Float[np.ndarray, "N B 3 3"], Float[np.ndarray, "N B 3"]]:
-        count, dof = q.shape
-        joints = np.zeros((count, dof, 4, 4))
-        sin, cos = np.sin(q)[..., None, None], np.cos(q)[..., None, None]
-        joints[..., :3, :3] = np.eye(3) + sin * self._cross + (1 - cos) * self._cross_squared
-        joints[..., 3, 3] = 1.0
-        joints = self._origins @ joints
-        frames = np.empty((count, dof + 3, 4, 4))
-        frames[:, 0] = self._base
-        for i in range(dof):
-            frames[:, i + 1] = frames[:, i] @ joints[:, i]
-        frames[:, dof + 1] = frames[:, dof] @ self._tool
-        frames[:, dof + 2] = np.eye(4)
-        poses = frames[:, self._frame] @ self._local
+        poses = self.frames(q)[:, self._frame] @ self._local
         return poses[..., :3, :3], poses[..., :3, 3]
 
     def _bounds(

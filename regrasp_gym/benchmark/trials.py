@@ -130,7 +130,8 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     z = 1.959964
     center = count + 0.5 * z**2
     spread = z * np.sqrt(count * (total - count) / total + 0.25 * z**2)
-    return float((center - spread) / (total + z**2)), float((center + spread) / (total + z**2))
+    low, high = (center - spread) / (total + z**2), (center + spread) / (total + z**2)
+    return max(float(low), 0.0), min(float(high), 1.0)
 
 
 def peer(module: str) -> ModuleType:
