@@ -180,7 +180,7 @@ class _Sampler:
             rows = rows[self._deep(samples.poses.origin[rows], samples.at(rows))]
             some = samples.at(rows)
             travel, touched = reaches(self.planes, some.part, self.pads, some.poses)
-            hit = np.isfinite(travel).all(axis=1)
+            hit = np.isfinite(travel.min(axis=1))
             theta, shift = self.pads.nearly(np.where(hit[:, None], travel, 0.0), upper)
             kept = hit & (theta <= some.opening) if self.pads.slide else hit
             left.append((rows[kept], touched[kept], theta[kept], shift[kept]))
