@@ -19,6 +19,7 @@ from regrasp_planner.release import ReleaseCone, release_cones
 from regrasp_planner.release_pose import resting_poses, tilted_pose
 from regrasp_planner.scene import Scene
 from regrasp_planner.stab_pose import stable_poses
+from regrasp_planner.stage_motion import Ends
 from regrasp_planner.stage_search import Held, StageSearch, furthest
 from regrasp_planner.stages import Failure, Reason, Stage, StageKind
 
@@ -49,6 +50,8 @@ class RegraspSearch:
         self._to_place = stages.search(self.task.place)
         self._on_ground = stages.search()
         self._links: dict[tuple[int | None, int | None, bool], Links] = {}
+        self._taken: dict[tuple[tuple[int, int | None], bool, bytes], Links] = {}
+        self._laid: dict[tuple[int, bytes], Ends] = {}
         self._rests = self._stable()
 
     def _stable(self) -> tuple[_Rest, ...]:
@@ -127,16 +130,18 @@ class RegraspSearch:
         kind = StageKind.REGRASP_TO_RELEASE if done else StageKind.PICK_TO_RELEASE
         following = StageKind.REGRASP_TO_PLACE if done + 1 == len(chain) else StageKind.REGRASP_TO_RELEASE
         link = (chain[done], None) if done + 1 == len(chain) else (chain[done], chain[done + 1])
-        onward, _ = self._link(*link, tilted)
         failure: Failure | None = None
         tried = 0
         for settled in self._rests[chain[done]].poses:
-            retaken, lacking = self.stages.reached(following, [onward], settled, self.stages.motion.takes)
+            laying, lacking = self._laying(kind, holding, settled)
+            retaken: list[Held] = []
+            if laying:
+                retaken, lacking = self._retaken(following, link, tilted, settled)
             if not retaken:
                 failure = furthest(failure, lacking or self.stages.unreachable(following))
                 continue
             laid = False
-            for stage in self._laid_down(kind, holding, pose, settled, configuration):
+            for stage in self._laid_down(kind, laying, pose, settled, configuration):
                 if isinstance(stage, Failure):
                     failure = furthest(failure, stage)
                     continue
@@ -151,30 +156,52 @@ class RegraspSearch:
                 break
         return failure or self._no_rest()
 
-    def _laid_down(
-        self,
-        kind: StageKind,
-        holding: Sequence[Held],
-        pose: Pose,
-        settled: Pose,
-        configuration: Float[np.ndarray, " n"],
-    ) -> Iterator[Stage | Failure]:
-        """Stages that take the target from ``pose`` and let it go so that it settles at ``settled``."""
+    def _retaken(self, kind: StageKind, link: tuple[int, int | None], tilted: bool, settled: Pose) -> Links:
+        """Grasps of a link by which the target can be taken up where it has settled."""
+        key = (link, tilted and link[1] is not None, settled.tobytes())
+        if key not in self._taken:
+            onward, _ = self._link(*link, tilted)
+            self._taken[key] = self.stages.reached(kind, [onward], settled, self.stages.motion.takes, keep=2)
+        return self._taken[key]
+
+    def _laying(
+        self, kind: StageKind, holding: Sequence[Held], settled: Pose
+    ) -> tuple[list[tuple[Held, Pose, Ends]], Failure | None]:
+        """Grasps by which the arm can hold the target where it is let go to settle at ``settled``."""
         groups: dict[bytes, tuple[Pose, list[Held]]] = {}
         for held in holding:
             assert held.down is not None
             release = tilted_pose(settled, held.down, self._hull, self.options.motion.drop)
             groups.setdefault(release.tobytes(), (release, []))[1].append(held)
-        for release, grasps in groups.values():
-            for held, ends in zip(grasps, self.stages.ends([held.grasp for held in grasps], release), strict=True):
-                if not ends.configurations:
-                    yield self.stages.unreachable(kind, [ends])
-                    continue
-                assert held.reaches is not None
-                puts = self.stages.motion.puts(kind, held.grasp, release, ends, wide=not _same_turn(release, settled))
-                yield self.stages.motion.join(
-                    kind, held.grasp, pose, release, settled, held.reaches, puts, configuration
-                )
+        laying: list[tuple[Held, Pose, Ends]] = []
+        lacking: list[Ends] = []
+        for release, some in groups.values():
+            unknown = [held for held in some if (id(held.grasp), release.tobytes()) not in self._laid]
+            answers = self.stages.ends([held.grasp for held in unknown], release) if unknown else []
+            for held, ends in zip(unknown, answers, strict=True):
+                self._laid[id(held.grasp), release.tobytes()] = ends
+            for held in some:
+                ends = self._laid[id(held.grasp), release.tobytes()]
+                if ends.configurations:
+                    laying.append((held, release, ends))
+                else:
+                    lacking.append(ends)
+        return laying, None if laying else self.stages.unreachable(kind, lacking)
+
+    def _laid_down(
+        self,
+        kind: StageKind,
+        laying: Sequence[tuple[Held, Pose, Ends]],
+        pose: Pose,
+        settled: Pose,
+        configuration: Float[np.ndarray, " n"],
+    ) -> Iterator[Stage | Failure]:
+        """Stages that take the target from ``pose`` and let it go so that it settles at ``settled``."""
+        motion = self.stages.motion
+        for held, release, ends in laying:
+            assert held.reaches is not None
+            puts = motion.puts(kind, held.grasp, release, ends, wide=not _same_turn(release, settled))
+            yield motion.join(kind, held.grasp, pose, release, settled, held.reaches, puts, configuration)
 
     def _to_goal(
         self,

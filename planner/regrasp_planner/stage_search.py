@@ -162,6 +162,7 @@ class StageSearch:
         batches: Iterable[Sequence[Held]],
         pose: Pose,
         find: Callable[[StageKind, Grasp, Pose, Ends], Reaches],
+        keep: int | None = None,
     ) -> tuple[list[Held], Failure | None]:
         """The first grasps by which the target can be taken up or put down at ``pose``, and why the last can not.
 
@@ -170,7 +171,9 @@ class StageSearch:
             batches: grasps, a few at a time.
             pose: (7,) of the target.
             find: `StageMotion.takes` or `StageMotion.puts`.
+            keep: grasps that are enough; by default ``options.grasps_kept``.
         """
+        keep = keep or self.options.grasps_kept
         failure: Failure | None = None
         found: list[Held] = []
         for batch in batches:
@@ -184,7 +187,7 @@ class StageSearch:
                 reaches = find(kind, held.grasp, pose, end)
                 if reaches:
                     found.append(Held(held.grasp, held.down, reaches))
-                    if len(found) == self.options.grasps_kept:
+                    if len(found) == keep:
                         return found, failure
                 else:
                     failure = furthest(failure, reaches.failure)
