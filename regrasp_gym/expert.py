@@ -74,7 +74,7 @@ class PlannerExpert:
     def __init__(
         self,
         env: gymnasium.Env,
-        strategy: Strategy | str = Strategy.STATIC,
+        strategy: Strategy | str = Strategy.REPEATED,
         seed: int = 0,
         plan_options: PlanOptions | None = None,
         options: ExpertOptions | None = None,

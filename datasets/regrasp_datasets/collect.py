@@ -40,7 +40,7 @@ class CollectOptions:
     """First seed."""
     workers: int = 1
     """Processes that run episodes at the same time."""
-    strategy: str = "static"
+    strategy: str = "repeated"
     """The expert's strategy."""
     require_regrasp: int = 0
     """How many of the episodes at least must hold a regrasp."""

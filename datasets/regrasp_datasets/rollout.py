@@ -56,7 +56,7 @@ class RolloutConfig:
     env_id: str
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     expert: str = DEFAULT_EXPERT
-    strategy: str = "static"
+    strategy: str = "repeated"
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def episodes(
     env: str = "regrasp_gym/PandaYCB-v0",
-    strategy: str = "static",
+    strategy: str = "repeated",
     first_seed: int = 0,
     count: int = 100,
     control_mode: str = "joint_pos",
@@ -74,6 +74,7 @@ def plan_episode(env: gymnasium.Env, expert: PlannerExpert, seed: int) -> Record
         "planning_seconds": time.perf_counter() - began,
         "seconds": expert.plan.stats.seconds,
         "eval_grasp_calls": expert.plan.stats.eval_grasp_calls,
+        "ordered_starts": expert.plan.stats.ordered_starts,
         "cause": "" if expert.failure is None else str(expert.failure.reason),
         "detail": str(expert.failure or ""),
     }
