@@ -1,4 +1,4 @@
-"""Stand-ins for objects of the YCB set: their sizes and masses, simple convex shapes, no downloads.
+"""Stand-ins for objects of the YCB set: their sizes and masses, simple shapes, no downloads.
 
 Sizes are those of the published sheet or of the google_16k scans, masses those of the sheet: Calli, Walsman, Singh,
 Srinivasa, Abbeel, Dollar, "Benchmarking in Manipulation Research", IEEE RAM 2015, doi 10.1109/MRA.2015.2448951.
@@ -17,6 +17,7 @@ from PIL import Image
 from regrasp_gym.looks import Look, Rgba, faceted, joined, revolve, sweep, textured_box, wall
 from regrasp_gym.objects import prints, shapes
 from regrasp_gym.objects.model import ObjectModel, solid
+from regrasp_gym.objects.mug import mug
 from regrasp_gym.objects.prints import Picture, Rgb, panel
 
 _MM = 1e-3
@@ -356,6 +357,7 @@ def _build() -> dict[str, ObjectModel]:
         _marker(),
         _screwdriver(),
         _cup(),
+        mug(),
     ]
     return {thing.name: thing for thing in sorted(things, key=lambda thing: thing.name)}
 
