@@ -264,6 +264,8 @@ class RegraspSearch:
         found, failure = stages.reached(kind, stages.either_way(search.grasps(start, ground)), pose, find)
         if not found and failure is None:
             failure = stages.no_grasp(kind, search, self._between(scene, search.any_feasible))
+        if ground is not None:
+            found.sort(key=lambda held: 0.0 if held.down is None else float(np.round(-held.down @ ground.axis, 3)))
         return found, failure
 
     @staticmethod
