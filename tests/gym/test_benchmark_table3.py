@@ -29,6 +29,7 @@ def record(seed: int, *, planned: bool, success: bool = False, calls: int = 40, 
         "stages": stages,
         "planning_seconds": 0.1 * (seed + 1),
         "eval_grasp_calls": calls,
+        "ordered_starts": 10 * calls,
         "cause": "" if success else "lost grasp" if planned else "no common grasp",
         "taken_over_from": "",
         **more,
@@ -47,6 +48,7 @@ def test_a_row_counts_what_was_planned_and_what_held() -> None:
     assert row["paper"] == {"planned": 170, "trials": 300}
     assert row["paper_eval_grasp_calls"] == 247
     assert row["eval_grasp_calls_mean"] == pytest.approx(60)
+    assert row["ordered_starts_mean"] == pytest.approx(600)
     assert row["planning_seconds"]["median"] == pytest.approx(0.2)
     assert row["planning_failures"] == {"no common grasp": 1}
     assert row["execution_failures"] == {"lost grasp": 1}
