@@ -8,17 +8,30 @@ import gymnasium
 import tyro
 from rich.console import Console
 
+from regrasp_gym.benchmark.distance import distance
 from regrasp_gym.benchmark.episodes import episodes
 from regrasp_gym.benchmark.ik import ik
 from regrasp_gym.benchmark.modules import modules
 from regrasp_gym.benchmark.path import path
+from regrasp_gym.benchmark.releases import releases
+from regrasp_gym.benchmark.stable_poses import stable_poses
 from regrasp_gym.benchmark.table3 import table3, table4
 from regrasp_gym.errors import EnvError
 
 
 def main() -> None:
     """Entry point."""
-    tables = {"episodes": episodes, "ik": ik, "modules": modules, "path": path, "table3": table3, "table4": table4}
+    tables = {
+        "distance": distance,
+        "episodes": episodes,
+        "ik": ik,
+        "modules": modules,
+        "path": path,
+        "releases": releases,
+        "stable-poses": stable_poses,
+        "table3": table3,
+        "table4": table4,
+    }
     try:
         tyro.extras.subcommand_cli_from_dict(tables, description=__doc__)
     except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
