@@ -8,7 +8,6 @@ import gymnasium
 import tyro
 from rich.console import Console
 
-from regrasp_gym.benchmark.distance import distance
 from regrasp_gym.benchmark.episodes import episodes
 from regrasp_gym.benchmark.ik import ik
 from regrasp_gym.benchmark.modules import modules
@@ -22,7 +21,6 @@ from regrasp_gym.errors import EnvError
 def main() -> None:
     """Entry point."""
     tables = {
-        "distance": distance,
         "episodes": episodes,
         "ik": ik,
         "modules": modules,

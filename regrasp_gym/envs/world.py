@@ -244,7 +244,7 @@ def _compile(base: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
             raise SceneError(f"the scene has two bodies called {name!r}; give each thing a name of its own")
     spec = base.copy()
     for fixture in scene.fixtures:
-        _add_fixture(spec, fixture)
+        add_fixture(spec, fixture)
     for thing in things:
         thing.model.add_to(spec, thing.name, thing.pose)
     _add_goal(spec, scene)
@@ -254,7 +254,8 @@ def _compile(base: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
         raise SceneError(f"the scene of seed {scene.seed} does not compile: {error}") from error
 
 
-def _add_fixture(spec: mujoco.MjSpec, fixture: Fixture) -> None:
+def add_fixture(spec: mujoco.MjSpec, fixture: Fixture) -> None:
+    """Add a fixture to ``spec``, a body and a geom of its name."""
     body = spec.worldbody.add_body(name=fixture.name, pos=fixture.pose[4:], quat=fixture.pose[:4])
     body.add_geom(
         name=fixture.name,
