@@ -67,8 +67,11 @@ def releases(
         json_file: write the summary as JSON.
         plot_file: draw it (.svg, .png or .pdf).
     """
+    from regrasp_planner.release import DROP, ENERGY, MARGIN
+
     check_format(plot_file)
-    setting: Record = {"benchmark": "releases", "version": version("regrasp-gym")}
+    rule = {"drop": DROP, "energy": ENERGY, "margin": MARGIN}
+    setting: Record = {"benchmark": "releases", "version": version("regrasp-gym"), "rule": rule}
     numbers = range(first_trial, first_trial + trials)
     done = run_trials(setting, numbers, _prepare, workers=workers, records=records, label="releases")
     report = summarise(done)

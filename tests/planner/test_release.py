@@ -10,6 +10,8 @@ from regrasp_planner import stable_poses
 from regrasp_planner.geometry import facets, mass_properties, qhull
 from regrasp_planner.optim import Sphere, trust_region
 from regrasp_planner.release import (
+    DROP,
+    ENERGY,
     MARGIN,
     WIDEST,
     ReleaseCone,
@@ -90,13 +92,13 @@ def test_cones_keep_to_basin_and_energy(seed):
     poses = stable_poses(random_hull(rng))
     cones = release_cones(poses)
     assert len(cones) == len(poses)
-    unlimited = energy_angles(poses, 0.002, 4.0) == np.pi
+    unlimited = energy_angles(poses, DROP, ENERGY) == np.pi
     for k, (cone, reach) in enumerate(zip(cones, basin_angles(poses), strict=True)):
         np.testing.assert_array_equal(cone.axis, poses.directions[k])
         assert 0 <= cone.half_angle <= max(0, min(reach - MARGIN, WIDEST))
         if cone.half_angle > 0 and not unlimited[k]:
             x = around(cone.axis, np.append(cone.half_angle * np.sqrt(rng.uniform(size=300)), cone.half_angle), rng)
-            assert (x @ poses.corners.T).max() + 0.002 <= poses.height[k] + 4 * poses.barrier[k] + 1e-12
+            assert (x @ poses.corners.T).max() + DROP <= poses.height[k] + ENERGY * poses.barrier[k] + 1e-12
 
 
 def test_the_cone_of_a_box_reaches_to_its_nearest_edge():
@@ -113,7 +115,7 @@ def test_what_would_roll_on_gets_no_cone():
     ball = fibonacci_sphere(60) * 0.03
     poses = stable_poses(ball)
     assert (basin_angles(poses) > 0.1).any()
-    low = poses.barrier < 0.0005
+    low = poses.barrier < DROP / ENERGY
     assert low.sum() > 10
     cones = release_cones(poses)
     assert all(cones[k].half_angle == 0 for k in np.flatnonzero(low))
