@@ -1,13 +1,17 @@
 """Stable poses: against trimesh, the exact hull, steepest descent and closed forms."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from regrasp_planner import GeometryError, stable_poses
+from regrasp_planner import ConvexBody, GeometryError, stable_poses
 from regrasp_planner.geometry import facets, mass_properties, qhull
+from regrasp_planner.geometry.support import support_point, support_value
 
 CUBE = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
 
@@ -138,29 +142,66 @@ def test_basins_follow_steepest_descent_on_the_exact_hull():
     assert np.mean(agreement) > 0.95
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**31))
-def test_proposition_1(seed):
-    """One step of eq. (8) from rest, Δx ∝ (I⁻¹(s × x)) × x.
-
-    For isotropic inertia it is exactly −grad h / J, i.e. parallel to the gradient and downhill. For any other inertia
-    the two vanish together and the step goes downhill, but it is not parallel in general.
-    """
-    rng = np.random.default_rng(seed)
+def a_dsf(rng, sharpness):
+    """A DSF about its centre of mass, the inertia of its solid hull, and a direction."""
     vertices = random_hull(rng, 20)
     mass = mass_properties(vertices)
     x = rng.normal(size=3)
-    x /= np.linalg.norm(x)
-    offsets = vertices - mass.center
-    support = offsets[(offsets @ x).argmax()]
-    slope = support - (support @ x) * x
-    torque = np.cross(support, x)
-    np.testing.assert_allclose(np.cross(torque / 2.0, x), -slope / 2.0, atol=1e-15)
-    step = np.cross(np.linalg.solve(mass.inertia, torque), x)
-    assert step @ slope < 0
-    resting = stable_poses(vertices)
-    center_below = resting.height[:, None] * resting.directions
-    np.testing.assert_allclose(np.cross(center_below, resting.directions), 0, atol=1e-15)
+    body = ConvexBody.from_vertices(vertices - mass.center, sharpness=sharpness)
+    return body, mass.inertia, x / np.linalg.norm(x)
+
+
+@jax.jit
+@jax.grad
+def riemannian_gradient(x, body):
+    """Gradient of h on the sphere, by automatic differentiation along the tangent plane."""
+    return support_value(body, x / jnp.linalg.norm(x))
+
+
+def settling_step(body, x, inertia, dt):
+    """The paper's x⁺ of eq. (8) after ``dt`` from rest, with Mg = 1: ω = Δt I⁻¹(s × x), x⁺ = exp([ω Δt]×) x."""
+    spin = dt * np.linalg.solve(inertia, np.cross(support_point(body, x), x))
+    return Rotation.from_rotvec(spin * dt).apply(x)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**31), st.sampled_from([16, 128, 1026]))
+def test_proposition_1_a_step_of_eq_8_is_parallel_to_the_gradient(seed, sharpness):
+    rng = np.random.default_rng(seed)
+    body, _, x = a_dsf(rng, sharpness)
+    gradient = np.asarray(riemannian_gradient(x, body))
+    support = np.asarray(support_point(body, x))
+    np.testing.assert_allclose(gradient, support - (support @ x) * x, atol=1e-12)
+    moment = 1e-3
+    step = settling_step(body, x, moment * np.eye(3), 1e-4) - x
+    np.testing.assert_allclose(step, -(1e-8 / moment) * gradient, rtol=1e-4, atol=1e-13)
+    assert step @ gradient == pytest.approx(-np.linalg.norm(step) * np.linalg.norm(gradient), rel=1e-8)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**31))
+def test_proposition_1_for_any_inertia_in_the_metric_of_the_inertia(seed):
+    """Δx = −Δt² [x]ᵀ I⁻¹ [x] grad h: downhill, and zero where the gradient is, parallel only for isotropic I."""
+    rng = np.random.default_rng(seed)
+    body, inertia, x = a_dsf(rng, 128)
+    gradient = np.asarray(riemannian_gradient(x, body))
+    step = settling_step(body, x, inertia, 1e-4) - x
+    across = np.cross(np.eye(3), x)
+    np.testing.assert_allclose(
+        step, -1e-8 * across @ np.linalg.solve(inertia, across.T @ gradient), rtol=1e-3, atol=1e-13
+    )
+    assert step @ gradient < 0
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**31))
+def test_stable_poses_are_equilibria_of_eq_8(seed):
+    """The foot of the centre of mass is a point of the supporting facet, and from there s × x vanishes."""
+    poses = stable_poses(random_hull(np.random.default_rng(seed), 20))
+    foot = poses.height[:, None] * poses.directions
+    np.testing.assert_allclose(np.cross(foot, poses.directions), 0, atol=1e-15)
+    np.testing.assert_allclose((poses.corners @ poses.directions.T).max(axis=0), poses.height, rtol=1e-9)
+    assert (poses.margin > 0).all()
 
 
 def test_a_heavy_bottom_makes_a_roly_poly():
