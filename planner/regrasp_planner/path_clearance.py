@@ -233,13 +233,14 @@ class PathClearance:
         ok[sample[rest.distance < required[sample, pair]]] = False
         return ok
 
-    def touching(self, q: Float[np.ndarray, "N n"], allowed: float = 0.0) -> Collision | None:
-        """The deepest overlap of the exact hulls by more than ``allowed`` metres over configurations, or None."""
-        found = self.measure(q, self.floor - allowed)
-        depth = found.certified - self.floor[found.pair]
-        if not len(depth) or depth.min() >= -allowed:
+    def touching(self, q: Float[np.ndarray, "N n"], allowed: float | Float[np.ndarray, " P"] = 0.0) -> Collision | None:
+        """The deepest overlap of the exact hulls over configurations, beyond what is ``allowed`` (metres), or None."""
+        floor = self.floor - allowed
+        found = self.measure(q, floor)
+        beyond = found.certified - floor[found.pair]
+        if not len(beyond) or beyond.min() >= 0:
             return None
-        return found.collision(int(depth.argmin()), q)
+        return found.collision(int(beyond.argmin()), q)
 
     def certify(self, trajectory: Trajectory) -> tuple[Collision | None, float]:
         """Check a whole trajectory, between its samples too, against the exact hulls.

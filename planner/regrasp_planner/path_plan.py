@@ -62,8 +62,8 @@ class PathOptions:
         max_iterations: constraint evaluations per guess.
         search_rounds: rounds of RRT-Connect; 0 turns it off.
         velocity_scale, acceleration_scale: fractions of the arm's limits to use.
-        contact_tolerance: overlap (metres) in which start and goal may be found, for an object that stands on a
-            surface is in contact with it.
+        contact_tolerance: overlap (metres) in which the start may be found, and at the goal the held body: an object
+            that stands on a surface is in contact with it, and the robot is where it is.
     """
 
     control_points: int = 24
@@ -181,6 +181,8 @@ class _Query:
         self.rng = np.random.default_rng(seed)
         self.stats: dict[str, float | str] = {"iterations": 0}
         self.blocked: Collision | None = None
+        held = np.array([name == "held" for name in model.body_names])[model.pairs].any(axis=1)
+        self.contact_at_goal = np.where(held, self.options.contact_tolerance, 0.0)
 
     # --- results ------------------------------------------------------------------------------------------------------
 
@@ -214,7 +216,9 @@ class _Query:
                 span = f"[{self.lower[j]:.4f}, {self.upper[j]:.4f}]"
                 joint = f"joint {self.arm.joint_names[j]!r} is at {q[j]:.4f} rad, limits {span}"
                 return self.failure(PathStatus.OUT_OF_LIMITS, detail=f"{PathStatus.OUT_OF_LIMITS.value}: {joint}")
-            collision = self.clearance.touching(q[None], self.options.contact_tolerance)
+            at_start = status is PathStatus.START_IN_COLLISION
+            allowed = self.options.contact_tolerance if at_start else self.contact_at_goal
+            collision = self.clearance.touching(q[None], allowed)
             if collision is not None:
                 return self.failure(status, collision)
         return None

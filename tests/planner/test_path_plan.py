@@ -249,6 +249,36 @@ def test_an_object_standing_on_the_table_is_lifted_and_put_down_again(robot, gap
     assert Oracle(model).least(middle[None])[0] > 1e-3
 
 
+def test_where_a_path_ends_only_what_is_held_may_touch(robot):
+    """The robot is where it is, and an object stands on something; but nobody has to go into a wall, however little."""
+    q, held = standing_object(robot, -1e-3)
+    away = q + 0.3 * np.eye(7)[0]
+    options = PathOptions(contact_tolerance=3e-3)
+    assert plan_path(held, away, q, 0.02, options).success
+    bare = collision_model(robot)
+    lowest = min(_lowest_points_of_fingers(bare, q, 0.02))
+    hand = np.asarray(forward_kinematics(robot.arm, q))[-1]
+    model = collision_model(robot, [box_obstacle("block", (0.2, 0.2, 0.04), (hand[4], hand[5], lowest - 0.019))])
+    assert plan_path(model, q, away, 0.02, options).success
+    result = plan_path(model, away, q, 0.02, options)
+    assert result.status is PathStatus.GOAL_IN_COLLISION
+    assert "block" in result.bodies
+    down = cartesian_path(model, q, np.array([0, 0, 0.05]), 0.02, options).trajectory
+    assert down is not None
+    back = cartesian_path(model, down.goal, np.array([0, 0, -0.05]), 0.02, options)
+    assert back.status is PathStatus.LINE_IN_COLLISION
+
+
+def _lowest_points_of_fingers(model, q, theta):
+    """Heights of the lowest points of the fingers' bodies, metres."""
+    poses = np.asarray(body_frames(model.arrays, q, theta))
+    for i, name in enumerate(model.body_names):
+        if name.startswith("finger"):
+            body = model.arrays.bodies[i]
+            turn = Rotation.from_quat(poses[i, :4], scalar_first=True)
+            yield (turn.apply(body.hull_vertices()) + poses[i, 4:])[:, 2].min() - float(body.radius)
+
+
 def test_an_object_deep_in_the_table_is_a_collision(robot):
     start, model = standing_object(robot, -0.01)
     result = cartesian_path(model, start, np.array([0, 0, 0.08]), 0.02)
