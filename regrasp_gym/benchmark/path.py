@@ -109,6 +109,7 @@ def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
         kinds[kind] = {
             "queries": len(kept),
             "left_out": len(asked) - len(kept),
+            "left_out_answered": sum(query["ours"]["success"] for query in asked if not query["free_ends"]),
             "ours": _figures([query["ours"] for query in kept]),
             "rrt": _figures([query["rrt"] for query in kept]),
             "length_ratio_median": _median([q["ours"]["length"] / q["rrt"]["length"] for q in both]),
@@ -118,9 +119,8 @@ def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
     collisions = [
         {"seed": query["seed"], "number": query["number"], "planner": name, "bodies": query[name]["collisions"]}
         for query in queries
-        if query["free_ends"]
         for name in ("ours", "rrt")
-        if query[name]["collisions"]
+        if name in query and query[name]["collisions"]
     ]
     return {
         **setting,
@@ -226,9 +226,10 @@ def _compare(query: Query, time_limit: float, ours_first: bool) -> Record:
     checker = ExactChecker(query.model, query.theta)
     free = checker.free(np.stack([query.start, query.goal]))
     record: Record = {"kind": query.kind, "free_ends": free}
-    if free:
-        turns = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
-        for name in ("ours", "rrt") if ours_first else ("rrt", "ours"):
+    turns = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
+    for name in ("ours", "rrt") if ours_first else ("rrt", "ours"):
+        # RRT-Connect has no use for an end in collision; what PathPlan makes of it shows in its own collisions.
+        if free or name == "ours":
             record[name] = turns[name]()
     return record
 
@@ -314,7 +315,9 @@ def _show(report: Record) -> None:
     console.print("times: median and 90 % per query, found or not; length: median, radians", highlight=False)
     for kind, figures in report["kinds"].items():
         if figures["left_out"]:
-            console.print(f"{kind}: {figures['left_out']} left out, an end in collision already", highlight=False)
+            message = f"{kind}: {figures['left_out']} left out, an end in collision already; "
+            message += f"{figures['left_out_answered']} of these PathPlan answers nevertheless"
+            console.print(message, highlight=False)
         if figures["only_rrt"]:
             console.print(f"{kind}: only RRTConnect finds (seed, query) {figures['only_rrt']}", highlight=False)
     for collision in report["collisions"]:
