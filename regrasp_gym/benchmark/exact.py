@@ -80,8 +80,10 @@ class ExactChecker:
             out[i, k] = min(distance - self.floor[k], _FAR)
         return out
 
-    def collisions(self, path: Path, batch: int = 256) -> list[tuple[str, str, float]]:
-        """Names and depth (metres) of the pairs that overlap somewhere on a path, deepest first.
+    def collisions(
+        self, path: Path, allowed: float | Float[np.ndarray, " P"] = 0.0, batch: int = 256
+    ) -> list[tuple[str, str, float]]:
+        """Names and depth (metres) of the pairs that overlap by more than ``allowed`` on a path, deepest first.
 
         Configurations are checked that are no further apart than `BODY_STEP` and `JOINT_STEP`.
         """
@@ -89,7 +91,7 @@ class ExactChecker:
         worst = np.full(len(self.pairs), _FAR)
         for start in range(0, len(at), batch):
             worst = np.minimum(worst, self.clearances(path(at[start : start + batch])).min(axis=0))
-        found = [(*self.names(k), float(-worst[k])) for k in np.flatnonzero(worst < -1e-6)]
+        found = [(*self.names(k), float(-worst[k])) for k in np.flatnonzero(worst < -1e-6 - np.asarray(allowed))]
         return sorted(found, key=lambda entry: -entry[2])
 
     def samples(self, path: Path) -> Float[np.ndarray, " N"]:

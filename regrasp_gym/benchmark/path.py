@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +17,7 @@ from rich.table import Table
 
 import regrasp_gym
 from regrasp_gym.benchmark.exact import ExactChecker
+from regrasp_gym.benchmark.path_queries import KINDS, Line, Query, asked, random_queries
 from regrasp_gym.benchmark.plots import OURS, PEER, PEER_TOO, check_format, draw, shares
 from regrasp_gym.benchmark.rrt import polyline, rrt_connect
 from regrasp_gym.benchmark.trials import Record, crashes, peer, run_trials, write_report
@@ -26,32 +25,11 @@ from regrasp_gym.benchmark.trials import Record, crashes, peer, run_trials, writ
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from regrasp_planner import Robot, Task, Trajectory
-    from regrasp_planner.collision import CollisionModel
-    from regrasp_planner.path_plan import PathOptions
+    from regrasp_planner import Trajectory
 
-KINDS = ("planned", "planned, holding", "random", "random, holding")
-_PEERS = ("regrasp-gym", "jax", "numpy", "scipy", "mujoco", "coal", "ompl")
-
-
-@dataclass(frozen=True)
-class Query:
-    """One path query.
-
-    Attributes:
-        kind: one of `KINDS`.
-        model: bodies and pairs.
-        start, goal: (n,) configurations, radians.
-        theta: finger coordinate.
-        options: of PathPlan.
-    """
-
-    kind: str
-    model: CollisionModel
-    start: Float[np.ndarray, " n"]
-    goal: Float[np.ndarray, " n"]
-    theta: float
-    options: PathOptions
+_TOUCH = 2e-4
+"""How much deeper (metres) than at the grasp what is in contact there may get on a straight line."""
+_PACKAGES = ("regrasp-gym", "jax", "numpy", "scipy", "mujoco", "coal", "ompl")
 
 
 def path(
@@ -90,7 +68,7 @@ def path(
     ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="scenes")
     report = summarise(setting, ended)
     _show(report)
-    write_report(json_file, report, _PEERS)
+    write_report(json_file, report, _PACKAGES)
     draw(plot_file, partial(_paint, ended), panels=2)
 
 
@@ -122,11 +100,17 @@ def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
         for name in ("ours", "rrt")
         if name in query and query[name]["collisions"]
     ]
+    lines = [line for scene in scenes for line in scene.get("lines", ())]
     return {
         **setting,
         "seeds": [scenes[0]["trial"], scenes[-1]["trial"]] if scenes else [],
         "kinds": kinds,
         "collisions": collisions,
+        "lines": {
+            "count": len(lines),
+            "touching_at_grasp": sum(line["touching"] > 0 for line in lines),
+            "in_collision": [line["collisions"] for line in lines if line["collisions"]],
+        },
         "crashed": crashes(scenes),
     }
 
@@ -144,82 +128,15 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
         made.reset(seed=seed)
         task, robot = inner.task(), inner.planner_robot
         rng = np.random.default_rng(seed)
-        queries = asked_queries(task, robot, setting["strategy"])
+        queries, lines = asked(task, robot, setting["strategy"])
         queries += random_queries(task, robot, setting["random_pairs"], rng)
+        limit = setting["time_limit"]
         return {
-            "queries": [
-                _compare(query, setting["time_limit"], ours_first=k % 2 == 0) for k, query in enumerate(queries)
-            ]
+            "queries": [_compare(query, limit, ours_first=k % 2 == 0) for k, query in enumerate(queries)],
+            "lines": [_line(line) for line in lines],
         }
 
     return run
-
-
-def asked_queries(task: Task, robot: Robot, strategy: str) -> list[Query]:
-    """All path queries of one call of `plan`, whether they were answered or not."""
-    from regrasp_planner import plan
-
-    with _listening() as queries:
-        plan(task, robot, strategy)
-    return queries
-
-
-@contextmanager
-def _listening() -> Generator[list[Query]]:
-    """Take down the queries that the planner asks of PathPlan."""
-    from regrasp_planner import stage_motion
-    from regrasp_planner.path_plan import PathResult
-
-    heard: list[Query] = []
-    plan_path = stage_motion.plan_path
-
-    def listen(
-        model: CollisionModel,
-        start: Float[np.ndarray, " n"],
-        goal: Float[np.ndarray, " n"],
-        theta: float,
-        options: PathOptions | None = None,
-        seed: int = 0,
-    ) -> PathResult:
-        kind = "planned, holding" if "held" in model.body_names else "planned"
-        heard.append(Query(kind, model, start, goal, theta, options or stage_motion.PathOptions()))
-        return plan_path(model, start, goal, theta, options, seed)
-
-    stage_motion.plan_path = listen
-    try:
-        yield heard
-    finally:
-        stage_motion.plan_path = plan_path
-
-
-def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:
-    """Random pairs of free configurations with something in between, with an empty hand and with the target in it."""
-    from regrasp_planner.grasp_gen import generate_grasps
-    from regrasp_planner.path_plan import PathOptions
-    from regrasp_planner.stage_motion import MotionOptions, Surroundings
-
-    surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
-    worlds = [("random", surroundings.empty_handed(task.pick.target_pose), float(robot.gripper.upper))]
-    grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
-    if grasps:
-        worlds.append(("random, holding", surroundings.holding(grasps[0]), float(grasps[0].theta)))
-    lower, upper = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
-    queries: list[Query] = []
-    for kind, model, theta in worlds:
-        checker = ExactChecker(model, theta)
-
-        def free(checker: ExactChecker = checker) -> Float[np.ndarray, " n"]:
-            while not checker.free((q := rng.uniform(lower, upper))[None]):
-                pass
-            return q
-
-        found = 0
-        while found < count:
-            start, goal = free(), free()
-            if not checker.free(np.linspace(start, goal, 200)):
-                queries.append(Query(kind, model, start, goal, theta, PathOptions()))
-                found += 1
-    return queries
 
 
 def _compare(query: Query, time_limit: float, ours_first: bool) -> Record:
@@ -232,6 +149,17 @@ def _compare(query: Query, time_limit: float, ours_first: bool) -> Record:
         if free or name == "ours":
             record[name] = turns[name]()
     return record
+
+
+def _line(line: Line) -> Record:
+    """Collisions of a straight line; the end at the grasp may be in contact already, and no deeper than it is there."""
+    checker = ExactChecker(line.model, line.theta)
+    touching = np.maximum(-checker.clearances(line.trajectory.start[None])[0], 0.0)
+    allowed = np.where(touching > 0, touching + _TOUCH, 0.0)
+    return {
+        "touching": float(touching.max()),
+        "collisions": checker.collisions(_of_trajectory(line.trajectory), allowed),
+    }
 
 
 def _ours(query: Query, checker: ExactChecker) -> Record:
@@ -321,7 +249,15 @@ def _show(report: Record) -> None:
         if figures["only_rrt"]:
             console.print(f"{kind}: only RRTConnect finds (seed, query) {figures['only_rrt']}", highlight=False)
     for collision in report["collisions"]:
-        console.print(f"in collision: {collision}", style="red", markup=False, highlight=False)
+        if collision["planner"] == "ours":
+            console.print(f"PathPlan in collision: {collision}", style="red", markup=False, highlight=False)
+    lines = report["lines"]
+    message = f"straight lines: {lines['count']}, {len(lines['in_collision'])} of them in collision"
+    console.print(f"{message}; {lines['touching_at_grasp']} begin in contact", highlight=False)
+    depths = [collision["bodies"][0][2] for collision in report["collisions"] if collision["planner"] == "rrt"]
+    if depths:
+        message = f"RRTConnect: {len(depths)} paths collide between its checks, {1e3 * max(depths):.1f} mm at most"
+        console.print(message, highlight=False)
     for error, seeds in report["crashed"].items():
         console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
 

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import regrasp_gym
 from regrasp_gym.benchmark.exact import BODY_STEP, JOINT_STEP, ExactChecker
-from regrasp_gym.benchmark.path import path, random_queries
+from regrasp_gym.benchmark.path import path
+from regrasp_gym.benchmark.path_queries import random_queries
 from regrasp_gym.benchmark.rrt import polyline, rrt_connect
 from regrasp_gym.benchmark.trials import read_records
 from regrasp_planner.clearance import configuration_clearance
@@ -130,6 +131,7 @@ def test_a_path_through_something_is_caught(world: Any, surroundings: Surroundin
     assert found
     assert "table" in {name for pair in found for name in pair[:2]}
     assert found[0][2] == max(depth for _, _, depth in found) > 0.01
+    assert not checker.collisions(polyline(np.stack([home, down, home])), allowed=found[0][2] + 1e-6)
     # The ends are free: it is what lies between that counts.
     assert checker.free(home[None])
 
@@ -188,4 +190,6 @@ def test_the_benchmark_of_two_scenes(tmp_path: Path, capsys: pytest.CaptureFixtu
         for name in ("ours", "rrt"):
             assert 0 <= figures[name]["free_of_collisions"] <= figures[name]["success"] <= figures["queries"]
     assert kinds["random"]["ours"]["seconds_median"] > 0
+    assert report["lines"]["count"] >= 4
+    assert report["lines"]["in_collision"] == []
     assert plot_file.stat().st_size > 5000
