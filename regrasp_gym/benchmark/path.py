@@ -36,7 +36,7 @@ def path(
     env: str = "regrasp_gym/PandaYCB-v0",
     scenes: int = 50,
     first_seed: int = 0,
-    strategy: str = "static",
+    strategy: str = "repeated",
     random_pairs: int = 3,
     time_limit: float = 10.0,
     workers: int = 1,
