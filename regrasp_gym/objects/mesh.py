@@ -1,23 +1,39 @@
-"""Objects from mesh files: any OBJ, STL or PLY becomes one convex hull with the mesh's mass properties and looks."""
+"""Objects from mesh files: any OBJ, STL or PLY becomes convex pieces with the mesh's mass properties and looks."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull
 
 from regrasp_gym.looks import Look, Rgba
-from regrasp_gym.objects.model import MAX_HULL_VERTICES, ObjectModel, solid
+from regrasp_gym.objects.decompose import MAX_PIECES, convex_pieces
+from regrasp_gym.objects.model import MAX_HULL_VERTICES, ObjectModel
 from regrasp_planner import GeometryError
+from regrasp_planner.geometry.hull import reduced_hull
 
 if TYPE_CHECKING:
     import trimesh
 
 HUGE = 5.0
 """Extent in metres above which a mesh is taken to be in other units."""
+
+FILLED = 0.85
+"""Share of its convex hull that a mesh has to fill to be taken as convex: cans and bottles do, cups do not."""
+
+BASE = 1e-3
+"""Unevenness of an upright object's base in metres, up to 2 % of its height, that is taken for noise."""
+
+LEAST_FILLED = 1e-3
+"""A mesh that fills less of its hull has no inside that means anything."""
+
+SEAMS = 1e-3
+"""Share of edges that need not lie between two faces in a mesh that counts as closed."""
 
 TEXTURE_EDGE = 512
 """Textures are reduced to this edge length in pixels."""
@@ -33,36 +49,49 @@ class MeshWarning(UserWarning):
 
 def object_from_mesh(
     source: str | Path | tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "M 3"]],
-    mass: float,
+    mass: float | None = None,
     *,
+    density: float | None = None,
     name: str | None = None,
     label: str | None = None,
     scale: float = 1.0,
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0),
     friction: float = 0.6,
+    max_pieces: int = MAX_PIECES,
 ) -> ObjectModel:
-    """An object whose one piece is the convex hull of a mesh, thinned out to 64 vertices.
+    """An object made of convex pieces with up to 64 vertices each.
 
-    Centre of mass and inertia are those of the mesh filled with uniform density if it is closed, and those of the hull
-    if it has holes. What was assumed is said in a `MeshWarning`.
+    A mesh that fills at least `FILLED` of its convex hull gives that hull, thinned out; any other closed mesh is cut
+    up by CoACD into pieces that hold it (see `regrasp_gym.objects.decompose`), so that a mug can be taken by its
+    handle. The first time that may take a minute. Centre of mass and inertia are those of the closed mesh filled with
+    uniform density. A mesh with holes has no inside: its hull is taken for everything. What was assumed is said in a
+    `MeshWarning`.
 
     Args:
         source: file that trimesh reads (OBJ, STL, PLY, …), or vertices (N, 3) and faces (M, 3). z is up.
         mass: kilograms.
+        density: kg/m³, instead of the mass.
         name, label: the file's name by default.
         scale: metres per unit of the mesh; 0.001 for millimetres.
         rgba: colour, where the file has no texture.
         friction: see `ObjectModel`.
+        max_pieces: most convex pieces; 1 takes the hull whatever the mesh is like.
 
     Raises:
         FileNotFoundError: no such file.
-        MeshError: unreadable, no faces, not finite, no volume, or a mass or scale that is not positive.
+        MeshError: unreadable, no faces, not finite, no volume, a mass, density or scale that is not positive, or both
+            or neither of mass and density.
     """
     import trimesh
 
     name = name or (Path(source).stem if isinstance(source, str | Path) else "mesh")
-    if not (np.isfinite(mass) and mass > 0 and np.isfinite(scale) and scale > 0):
-        raise MeshError(f"mesh {name!r}: mass {mass} kg and scale {scale} must be positive")
+    if (mass is None) == (density is None):
+        raise MeshError(f"mesh {name!r}: give either a mass (kg) or a density (kg/m³), not both and not neither")
+    for what, value in (("mass", mass), ("density", density), ("scale", scale)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise MeshError(f"mesh {name!r}: {what} {value} must be positive and finite")
+    if max_pieces < 1:
+        raise MeshError(f"mesh {name!r}: max_pieces {max_pieces} must be at least 1")
     mesh = _loaded(source, name)
     vertices = np.asarray(mesh.vertices, float) * scale
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
@@ -71,41 +100,59 @@ def object_from_mesh(
     hull = _hull(vertices, np.asarray(mesh.faces), name)
     extents = np.ptp(hull, axis=0)
     if extents.max() > HUGE:
-        warnings.warn(
-            f"mesh {name!r} is {extents.max():.1f} m long; if it is in millimetres, pass scale=0.001",
-            MeshWarning,
-            stacklevel=2,
-        )
+        _warn(f"mesh {name!r} is {extents.max():.1f} m long; if it is in millimetres, pass scale=0.001")
 
-    thing = solid(name, label or name.replace("_", " "), mass, [hull], rgba=rgba, friction=friction)
     shape = trimesh.Trimesh(vertices, mesh.faces, process=True)
-    center = hull.mean(axis=0) - thing.pieces[0].mean(axis=0)
-    inertia = thing.inertia
-    if shape.is_volume:
-        center, inertia = np.asarray(shape.center_mass), np.asarray(shape.moment_inertia) * mass / shape.volume
-        filled = 1 - shape.volume / trimesh.convex.convex_hull(vertices).volume
-        if filled > 0.1:
-            warnings.warn(
-                f"mesh {name!r} is hollow or concave: {filled:.0%} of its convex hull is filled up for contact",
-                MeshWarning,
-                stacklevel=2,
-            )
-    else:
-        warnings.warn(
-            f"mesh {name!r} is not closed: its convex hull is taken as a solid for contact, mass and inertia",
-            MeshWarning,
-            stacklevel=2,
-        )
+    if shape.volume < 0:
+        shape.invert()
+    solid_hull = trimesh.convex.convex_hull(vertices)
+    filled = shape.volume / solid_hull.volume
+    pieces = (hull,)
+    if not _is_closed(shape) or filled < LEAST_FILLED:
+        shape = solid_hull
+        _warn(f"mesh {name!r} is not closed: its convex hull is taken as a solid for contact, mass and inertia")
+    elif filled < FILLED and max_pieces > 1:
+        pieces = convex_pieces(np.asarray(shape.vertices), np.asarray(shape.faces), max_pieces=max_pieces)
+    elif filled < 0.9:
+        _warn(f"mesh {name!r} is hollow or concave: {1 - filled:.0%} of its convex hull is filled up for contact")
+    center = np.asarray(shape.center_mass)
+    mass = float(shape.volume) * density if density is not None else mass
+    assert mass is not None, "either the mass is given or the density"
     return ObjectModel(
         name=name,
-        label=thing.label,
+        label=label or name.replace("_", " "),
         mass=mass,
-        pieces=(hull - center,),
-        inertia=inertia,
+        pieces=tuple(piece - center for piece in _on_a_flat_base(pieces)),
+        inertia=np.asarray(shape.moment_inertia) * mass / shape.volume,
         looks=(_look(mesh, scale, rgba).shifted(-center),),
         rgba=rgba,
         friction=friction,
     )
+
+
+def _on_a_flat_base(pieces: Sequence[Float[np.ndarray, "K 3"]]) -> list[Float[np.ndarray, "K 3"]]:
+    """The pieces with what is within `BASE` of the lowest point brought down to it.
+
+    Scans of flat bottoms are uneven by tenths of a millimetre, and what stands on three points rocks.
+    """
+    level = min(piece[:, 2].min() for piece in pieces)
+    noise = min(BASE, 0.02 * (max(piece[:, 2].max() for piece in pieces) - level))
+    flat: list[np.ndarray] = []
+    for piece in pieces:
+        heights = np.where(piece[:, 2] < level + noise, level, piece[:, 2])
+        lowered = np.column_stack([piece[:, :2], heights])
+        flat.append(lowered[ConvexHull(lowered).vertices])
+    return flat
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, MeshWarning, stacklevel=3)
+
+
+def _is_closed(mesh: trimesh.Trimesh) -> bool:
+    """Whether the mesh has an inside: each edge between two faces, but for a few seams as real scans have them."""
+    count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
+    return bool(mesh.is_winding_consistent and (count != 2).mean() <= SEAMS)
 
 
 def _loaded(source: str | Path | tuple[np.ndarray, np.ndarray], name: str) -> trimesh.Trimesh:
@@ -134,14 +181,11 @@ def _loaded(source: str | Path | tuple[np.ndarray, np.ndarray], name: str) -> tr
 
 
 def _hull(vertices: np.ndarray, faces: np.ndarray, name: str) -> Float[np.ndarray, "K 3"]:
-    from regrasp_planner.geometry.hull import reduced_hull
-
     used = vertices[np.unique(faces)]
     try:
-        hull, _ = reduced_hull(used, MAX_HULL_VERTICES)
+        return reduced_hull(used, MAX_HULL_VERTICES)[0]
     except GeometryError as error:
         raise MeshError(f"mesh {name!r} has no volume, not even its convex hull: {error}") from error
-    return hull
 
 
 def _look(mesh: trimesh.Trimesh, scale: float, rgba: Rgba) -> Look:

@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial import ConvexHull
 
 from regrasp_gym import physics
 from regrasp_gym.objects.mesh import MeshError, MeshWarning, object_from_mesh
+from regrasp_gym.scenes.resting import upright_pose
 from regrasp_planner import GeometryError
+
+Mesh = tuple[np.ndarray, np.ndarray]
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 CUBE = trimesh.creation.box((0.04, 0.06, 0.1))
 
@@ -71,21 +77,61 @@ def test_holes_are_closed_by_the_hull_and_said(tmp_path: Path) -> None:
     assert thing.inertia == pytest.approx(closed.inertia, rel=1e-4, abs=1e-9)
 
 
-def test_hollows_are_said_and_weigh_nothing() -> None:
-    """An L profile: mass properties are those of the L, contact those of its hull."""
-    outline = np.array([[0, 0], [0.1, 0], [0.1, 0.02], [0.02, 0.02], [0.02, 0.1], [0, 0.1]])
-    n = len(outline)
-    vertices = np.concatenate([np.column_stack([outline, np.full(n, z)]) for z in (0.0, 0.05)])
-    sides = [[i, (i + 1) % n, (i + 1) % n + n] for i in range(n)] + [[i, (i + 1) % n + n, i + n] for i in range(n)]
-    caps = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
-    faces = np.array(sides + [c[::-1] for c in caps] + [[i + n for i in c] for c in caps])
+# Centroid of the L: legs of 0.1 × 0.02 and 0.02 × 0.08.
+MIDDLE = (0.002 * 0.05 + 0.0016 * 0.01) / 0.0036
+
+
+def test_hollows_are_no_part_of_the_object(angle: Mesh) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        thing = object_from_mesh(angle, 0.3, name="angle")
+    assert len(thing.pieces) == 2
+    assert sum(ConvexHull(piece).volume for piece in thing.pieces) == pytest.approx(0.0036 * 0.05, rel=2e-3)
+    legs = sorted(np.ptp(piece, axis=0).round(3).tolist() for piece in thing.pieces)
+    assert legs in ([[0.02, 0.08, 0.05], [0.1, 0.02, 0.05]], [[0.02, 0.1, 0.05], [0.08, 0.02, 0.05]])
+    corner = np.concatenate(thing.pieces).min(axis=0)
+    assert corner == pytest.approx([-MIDDLE, -MIDDLE, -0.025], abs=1e-5)
+
+
+def test_the_hull_can_be_asked_for_and_its_hollows_are_said(angle: Mesh) -> None:
     with pytest.warns(MeshWarning, match="'angle' is hollow or concave: 4[0-9]%"):
-        thing = object_from_mesh((vertices, faces), 0.3, name="angle")
-    # Centroid of the L: legs of 0.1 × 0.02 and 0.02 × 0.08.
-    middle = (0.002 * 0.05 + 0.0016 * 0.01) / 0.0036
-    corner = thing.pieces[0][np.argmin(thing.pieces[0].sum(axis=1))]
-    assert corner == pytest.approx([-middle, -middle, -0.025], abs=1e-6)
+        thing = object_from_mesh(angle, 0.3, name="angle", max_pieces=1)
+    (piece,) = thing.pieces
+    corner = piece[np.argmin(piece.sum(axis=1))]
+    assert corner == pytest.approx([-MIDDLE, -MIDDLE, -0.025], abs=1e-6)
+    # The mass properties are those of the L all the same.
+    assert thing.inertia == pytest.approx(object_from_mesh(angle, 0.3).inertia)
     assert thing.inertia[0, 1] != pytest.approx(0.0, abs=1e-6)
+
+
+def test_density_gives_the_mass_of_what_is_filled(angle: Mesh) -> None:
+    thing = object_from_mesh(angle, density=2000.0)
+    assert thing.mass == pytest.approx(2000.0 * 0.0036 * 0.05)
+    assert thing.inertia == pytest.approx(object_from_mesh(angle, thing.mass).inertia)
+
+
+def test_a_seam_or_an_inside_out_mesh_does_not_matter(angle: Mesh) -> None:
+    """As in real scans: one face is missing of thousands, and all of them may face inwards."""
+    closed = object_from_mesh(angle, 0.1)
+    fine = trimesh.Trimesh(*angle).subdivide().subdivide().subdivide().subdivide()
+    for faces in (fine.faces[1:], fine.faces[:, ::-1]):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            thing = object_from_mesh((fine.vertices, faces), 0.1)
+        assert len(thing.pieces) == 2
+        assert thing.inertia == pytest.approx(closed.inertia, rel=0.01, abs=1e-6)
+
+
+def test_an_uneven_base_is_made_flat() -> None:
+    mesh = trimesh.creation.cylinder(0.03, 0.08, sections=32)
+    vertices = np.array(mesh.vertices)
+    low = vertices[:, 2] < 0
+    vertices[low, 2] += np.random.default_rng(0).uniform(0, 4e-4, low.sum())
+    thing = object_from_mesh((vertices, mesh.faces), 0.2)
+    upright = upright_pose(thing)
+    assert upright is not None
+    assert upright.margin == pytest.approx(0.03, abs=1e-3)
+    assert -upright.down[2] == pytest.approx(1.0)
 
 
 def test_a_texture_comes_along(tmp_path: Path) -> None:
@@ -136,10 +182,22 @@ def test_bad_meshes_are_refused(vertices: np.ndarray, faces: np.ndarray, message
     assert isinstance(caught.value, GeometryError)
 
 
-@pytest.mark.parametrize(("mass", "scale"), [(0.0, 1.0), (-1.0, 1.0), (np.nan, 1.0), (0.1, 0.0)])
-def test_mass_and_scale_must_be_positive(mass: float, scale: float) -> None:
-    with pytest.raises(MeshError, match="must be positive"):
-        object_from_mesh((CUBE.vertices, CUBE.faces), mass, scale=scale)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"mass": 0.0},
+        {"mass": -1.0},
+        {"mass": np.nan},
+        {"density": 0.0},
+        {"mass": 0.1, "scale": 0.0},
+        {"mass": 0.1, "max_pieces": 0},
+        {"mass": 0.1, "density": 1000.0},
+        {},
+    ],
+)
+def test_options_must_make_sense(options: dict[str, float]) -> None:
+    with pytest.raises(MeshError, match=r"must be|not both and not neither"):
+        object_from_mesh((CUBE.vertices, CUBE.faces), **options)
 
 
 def test_bad_files_are_refused(tmp_path: Path) -> None:
