@@ -1,165 +1,41 @@
 """Non-static release (GraspGen⁺): tilt the plane under the target until the gripper clears it, within the basin.
 
 Where the gripper would dip into the ground with the target in its stable pose, the target is let go tilted and settles
-into the pose by itself (the paper's Alg. 3). Two pieces make that work: cones of directions that settle into each pose,
-and the supporting plane nearest to the nominal one that the gripper clears (Prop. 2, eq. (9)).
-
-The paper fits its cones into alpha shapes of StabPose's starts (`alpha_shape_angles`). `release_cones` does without
-sampling: a convex body let go in direction x first falls on the facet that the ray along x from the centre of mass
-pierces, and topples on from there (Goldberg, Mirtich, Zhuang, Craig, Carlisle, Canny, IEEE T-RA 1999). So a basin is
-bounded by hull edges seen from the centre of mass, which are arcs of great circles, and the cone is exact. To that
-comes what a basin of steepest descent does not know: an object that falls from too high does not stop where it should.
+into the pose by itself (the paper's Alg. 3). Three pieces make that work: cones of directions that settle into each
+pose (`basins`), the supporting plane nearest to the nominal one that the gripper clears (Prop. 2, eq. (9)), and whether
+the open gripper is in the way of the settling target.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial.transform import Rotation
 
-from regrasp_planner.stab_pose import StablePoses
+from regrasp_planner.basins import ReleaseCone, project, release_cones
+from regrasp_planner.geometry.hull import qhull
 
-WIDEST = np.deg2rad(80)
-"""No cone is wider than this, radians."""
+__all__ = [
+    "BLOCKED",
+    "ReleaseCone",
+    "perturbed_plane",
+    "plane_clearance",
+    "project",
+    "relaxed_release",
+    "release_cones",
+    "settling_clearance",
+]
 
-ENERGY = 5.0
-"""How many times a pose's barrier an object may fall on its way into it, the drop included.
+SETTLING_STEPS = 4
+"""Angles looked at between the release and the stable pose."""
 
-Impacts leave it less than a fifth of that, too little to roll on. In 10,000 drops in MuJoCo, of 100 objects let go
-within their basins, 99.6 % rested in the pose predicted below 5, 89 % between 5 and 10, 65 % above."""
+BLOCKED = -0.1
+"""Least `settling_clearance`, as a share of the gripper's opening, at which a release still counts as free.
 
-STEADY = np.deg2rad(30)
-"""A pose that stands up to tilts of this angle has no such limit: none of 230 such drops above 4 went on rolling."""
-
-MARGIN = 0.05
-"""Angle kept from the rim of a basin, radians."""
-
-DROP = 0.002
-"""Height above the plane from which the object is let go, metres."""
-
-
-@dataclass(frozen=True)
-class ReleaseCone:
-    """Directions in which the target may be let go to settle into one stable pose.
-
-    Attributes:
-        axis: (3,) the stable direction x*, in the target's frame, unit, pointing down.
-        half_angle: radians; 0 where not even an object let go in the pose itself is sure to stay, or the basin is too
-            small.
-    """
-
-    axis: Float[np.ndarray, " 3"]
-    half_angle: float
-
-
-def release_cones(
-    poses: StablePoses, margin: float = MARGIN, drop: float = DROP, energy: float = ENERGY
-) -> tuple[ReleaseCone, ...]:
-    """Cones K_k inscribed in the basins of attraction, one for each stable pose, in the same order.
-
-    Args:
-        poses: of the target.
-        margin: angle kept from the rim of the basin, radians.
-        drop: height above the plane from which the target is let go, metres.
-        energy: how many times the pose's barrier the centre of mass may fall, the drop included.
-    """
-    angles = np.minimum(basin_angles(poses) - margin, energy_angles(poses, drop, energy))
-    return tuple(
-        ReleaseCone(axis, float(angle))
-        for axis, angle in zip(poses.directions, np.clip(angles, 0.0, WIDEST), strict=True)
-    )
-
-
-def basin_angles(poses: StablePoses) -> Float[np.ndarray, " m"]:
-    """Angle (m,) between each stable direction and the nearest rim of its basin, radians; π if there is none."""
-    ridge, side = np.nonzero(poses.ridge_poses >= 0)
-    sides = poses.ridge_poses[ridge, side]
-    first, second = poses.ridges[ridge, 0], poses.ridges[ridge, 1]
-    axis = poses.directions[sides]
-    normal = np.cross(first, second)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # The arc's nearest point is where the great circle is nearest, if that lies between the ends.
-    beside = (axis * normal).sum(axis=1)
-    foot = axis - beside[:, None] * normal
-    between = ((np.cross(normal, first) * foot).sum(axis=1) > 0) & ((np.cross(second, normal) * foot).sum(axis=1) > 0)
-    ends = [_angle(axis, end / np.linalg.norm(end, axis=1, keepdims=True)) for end in (first, second)]
-    nearest = np.where(between, np.arcsin(np.clip(np.abs(beside), 0.0, 1.0)), np.minimum(*ends))
-    angles = np.full(len(poses), np.pi)
-    np.minimum.at(angles, sides, nearest)
-    return angles
-
-
-def energy_angles(poses: StablePoses, drop: float, energy: float) -> Float[np.ndarray, " m"]:
-    """Half-angle (m,) of the cone about each stable direction in which h(x) + drop − h(x*) ≤ energy · barrier, radians.
-
-    π for poses that are `STEADY`, negative where the drop alone is too much. Over a cone of half-angle α a vertex v at
-    angle φ from x* is at most |v| cos(max(φ − α, 0)) below the centre of mass, and h is the greatest of these.
-    """
-    limit = poses.height + energy * poses.barrier - drop
-    reach = np.linalg.norm(poses.corners, axis=1)
-    lean = _angle(poses.directions[:, None], poses.corners / reach[:, None])
-    ratio = limit[:, None] / reach
-    allowed = np.where(ratio < 1, lean - np.arccos(np.clip(ratio, -1.0, 1.0)), np.pi)
-    return np.where(np.arctan2(poses.margin, poses.height) >= STEADY, np.pi, allowed.min(axis=1))
-
-
-def alpha_shape_angles(poses: StablePoses, alpha: float | None = None) -> Float[np.ndarray, " m"]:
-    """Half-angle (m,) of the cone inscribed in the alpha shape of each basin's starts, radians; the paper's way.
-
-    The starts that settle into a pose, and the pose itself, are taken into its tangent plane by the logarithm. The
-    alpha shape is the part of their Delaunay triangulation with circumradii up to ``alpha``; the cone reaches to the
-    nearest edge of it.
-
-    Args:
-        poses: of the target.
-        alpha: radians; by default twice the spacing of the starts.
-    """
-    largest = 2 * float(np.sqrt(4 * np.pi / len(poses.starts))) if alpha is None else alpha
-    angles = np.zeros(len(poses))
-    for k, (axis, rotation) in enumerate(zip(poses.directions, poses.rotations, strict=True)):
-        starts = poses.starts[poses.basin == k]
-        flat = starts @ rotation[:2].T
-        length = np.linalg.norm(flat, axis=1, keepdims=True)
-        points = flat * (_angle(starts, axis)[:, None] / np.maximum(length, 1e-12))
-        angles[k] = _inscribed_radius(np.concatenate([np.zeros((1, 2)), points[length[:, 0] > 1e-6]]), largest)
-    return angles
-
-
-def _inscribed_radius(points: Float[np.ndarray, "N 2"], alpha: float) -> float:
-    """Distance of the first point from the boundary of the alpha shape; 0 where it does not lie inside."""
-    if len(points) < 4:
-        return 0.0
-    try:
-        triangles = Delaunay(points).simplices
-    except QhullError:
-        return 0.0
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    sides = np.stack([np.linalg.norm(p - q, axis=1) for p, q in ((b, c), (c, a), (a, b))])
-    area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    triangles = triangles[sides.prod(axis=0) <= 4 * alpha * area]
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    rim = edges[count == 1]
-    if not (triangles == 0).any() or (rim == 0).any():
-        return 0.0
-    start, along = points[rim[:, 0]] - points[0], points[rim[:, 1]] - points[rim[:, 0]]
-    share = np.clip(-(start * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
-    return float(np.linalg.norm(start + share[:, None] * along, axis=1).min())
-
-
-def project(cone: ReleaseCone, x: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """The directions of the cone nearest to the unit directions ``x``, along great circles."""
-    axis = cone.axis
-    across = x - (x @ axis)[..., None] * axis
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    beyond = np.arctan2(length[..., 0], x @ axis) > cone.half_angle
-    # Opposite to the axis all ways are as long; any will do.
-    other = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side = np.where(length > 1e-12, across / np.maximum(length, 1e-300), other / np.linalg.norm(other))
-    rim = np.cos(cone.half_angle) * axis + np.sin(cone.half_angle) * side
-    return np.where(beyond[..., None], rim, x)
+The target shoves past a finger that it meets a little on its way: of 149 releases in MuJoCo from a Panda's hand (80 mm)
+with −8 mm or more all settled as predicted, of 81 with less only 78 %."""
 
 
 def plane_clearance(
@@ -195,6 +71,60 @@ def relaxed_release(
     """
     x = project(cone, perturbed_plane(target, gripper, cone.axis, delta))
     return x, plane_clearance(target, gripper, x) >= delta - _rounding(target)
+
+
+def settling_clearance(
+    pieces: Sequence[Float[np.ndarray, "N 3"]],
+    bodies: Sequence[Float[np.ndarray, "K G 3"]],
+    axis: Float[np.ndarray, " 3"],
+    x: Float[np.ndarray, "K 3"],
+) -> Float[np.ndarray, " K"]:
+    """How far open grippers keep clear of the target while it settles from release directions ``x`` to ``axis``.
+
+    The target turns about its lowest corner, the gripper stays where it is. At each of `SETTLING_STEPS` angles on the
+    way the distance is bounded from below along the normals of the facets of both; the true one is no smaller. A
+    gripper that is in the way holds the target up, and takes it along or throws it over as it goes back: see `BLOCKED`.
+
+    Args:
+        pieces: convex pieces of the target, (N, 3) vertices each, metres.
+        bodies: convex bodies of the gripper opened to let go, (K, G, 3) vertices each in the target's frame, metres:
+            the same body at K poses, its vertices in the same order.
+        axis: (3,) unit stable direction.
+        x: (K, 3) unit release directions.
+
+    Returns:
+        (K,) least signed clearance, metres.
+    """
+    corners = np.concatenate(list(pieces))
+    pivot = corners[(x @ corners.T).argmax(axis=1)][:, None]
+    turn = np.cross(x, axis)
+    sine = np.linalg.norm(turn, axis=1)
+    turn *= (np.arctan2(sine, x @ axis) / np.maximum(sine, 1e-12))[:, None]
+    outward = [_facet_normals(piece[None])[0] for piece in pieces]
+    own = [_facet_normals(body) for body in bodies]
+    least = np.full(len(x), np.inf)
+    for step in range(1, SETTLING_STEPS + 1):
+        # What the target's turning is in its own frame: the gripper turned the other way, about the same corner.
+        back = np.swapaxes(Rotation.from_rotvec(step / SETTLING_STEPS * turn).as_matrix(), 1, 2)
+        for body, normals in zip(bodies, own, strict=True):
+            points, aside = (body - pivot) @ back + pivot, normals @ back
+            reach = np.einsum("kfi,kgi->kfg", aside, points).max(axis=2)
+            for piece, faces in zip(pieces, outward, strict=True):
+                above = (points @ faces.T).min(axis=1) - (piece @ faces.T).max(axis=0)
+                beyond = (aside @ piece.T).min(axis=2) - reach
+                least = np.minimum(least, np.maximum(above.max(axis=1), beyond.max(axis=1)))
+    return least
+
+
+def _facet_normals(bodies: Float[np.ndarray, "K N 3"]) -> Float[np.ndarray, "K F 3"]:
+    """Outward unit normals of the facets of a hull at K poses; of facets that lie in one plane only one."""
+    hull = qhull(bodies[0])
+    planes = hull.simplices[np.unique(hull.equations.round(6), axis=0, return_index=True)[1]]
+    a, b, c = (bodies[:, planes[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    inside = bodies.mean(axis=1, keepdims=True) - a
+    return -np.sign((normals * inside).sum(axis=2, keepdims=True)) * normals
 
 
 def perturbed_plane(
@@ -345,8 +275,3 @@ def _rim_crossings(
 def _rounding(target: Float[np.ndarray, "N 3"]) -> float:
     """What clearances computed from these vertices may be off by, metres."""
     return 1e-9 * float(np.abs(target).max())
-
-
-def _angle(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-    """Angle between unit vectors, exact near 0 and π too, radians."""
-    return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))

@@ -28,6 +28,12 @@ LONGEST = 8.0
 SAME_POSE = np.deg2rad(5)
 """Two resting poses are the same if what points down differs by less than this, radians."""
 
+OPENING_TIME = 0.25
+"""A gripper takes so long to open, seconds, …"""
+
+RETREAT_TIME = 0.5
+"""… and as long as this to go back, beginning that long after it began to open."""
+
 _STEPS = 5
 
 
@@ -54,14 +60,30 @@ class Landing:
         return self.rested and self.away_from(direction) < SAME_POSE
 
 
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """A gripper about an object that opens and goes back, all in the object's frame when it is let go.
+
+    Attributes:
+        bodies: convex pieces of the closed gripper, (N, 3) metres each.
+        travel: how far each is moved by opening, (3,) metres each.
+        back: (3,) displacement of the retreat, metres.
+    """
+
+    bodies: tuple[Float[np.ndarray, "N 3"], ...]
+    travel: tuple[Float[np.ndarray, " 3"], ...]
+    back: Float[np.ndarray, " 3"]
+
+
 class DropTable:
     """A table and one object above it; its contacts are those of the environments.
 
     Args:
         thing: the object; its frame has its origin at the centre of mass.
+        hand: a gripper that lets go of the object.
     """
 
-    def __init__(self, thing: ObjectModel) -> None:
+    def __init__(self, thing: ObjectModel, hand: Hand | None = None) -> None:
         spec = mujoco.MjSpec()
         physics.configure(spec)
         side = 100 * float(thing.size.max())
@@ -71,6 +93,9 @@ class DropTable:
         for mesh in spec.meshes:
             # Pieces of the environments' objects have few vertices anyway; a hull given here is not to be simplified.
             mesh.maxhullvert = -1
+        self._hand = hand
+        for k, body in enumerate(hand.bodies if hand else ()):
+            _add_hand_body(spec, f"hand_{k}", body)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._points = np.concatenate(thing.pieces)
@@ -78,6 +103,8 @@ class DropTable:
 
     def drop(self, rotation: Float[np.ndarray, "3 3"], height: float) -> Landing:
         """Let the object go at rest, its lowest point ``height`` metres above the table, until it rests.
+
+        A gripper opens as the object is let go and then retreats.
 
         Args:
             rotation: (3, 3) object to world.
@@ -89,14 +116,41 @@ class DropTable:
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
         data.qpos[3:7] = quaternion
+        data.mocap_quat[:] = quaternion
+        start = data.qpos[:3].copy()
         quiet, needed = 0, round(QUIET_TIME / model.opt.timestep / _STEPS)
         while data.time < LONGEST and quiet < needed:
-            mujoco.mj_step(model, data, _STEPS)
+            alone = self._hand is None or self._move(self._hand, start, rotation)
+            mujoco.mj_step(model, data, _STEPS if alone else 1)
             speed = np.linalg.norm(data.qvel[:3]) + self._reach * np.linalg.norm(data.qvel[3:6])
-            quiet = quiet + 1 if speed < SLOWEST else 0
+            quiet = quiet + 1 if alone and speed < SLOWEST else 0
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, data.qpos[3:7])
         return Landing(-turn[6:], float(data.time), quiet >= needed)
+
+    def _move(self, hand: Hand, start: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"]) -> bool:
+        """Put the hand where it is at this time, and tell whether it has gone."""
+        opened = min(self._data.time / OPENING_TIME, 1.0)
+        gone = np.clip(self._data.time / RETREAT_TIME - 1.0, 0.0, 1.0)
+        shift = opened * np.array(hand.travel) + gone * hand.back
+        self._data.mocap_pos[:] = start + shift @ rotation.T
+        return bool(gone == 1.0)
+
+
+def _add_hand_body(spec: mujoco.MjSpec, name: str, points: Float[np.ndarray, "N 3"]) -> None:
+    """A body that is moved from outside, with the contacts of the Panda's pads."""
+    mesh = spec.add_mesh(name=name, maxhullvert=-1)
+    mesh.uservert = points.ravel()
+    body = spec.worldbody.add_body(name=name, mocap=True)
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        condim=4,
+        priority=2,
+        friction=[1.2, 0.008, 0.0002],
+        solref=[0.004, 1.0],
+        solimp=[0.99, 0.999, 0.001, 0.5, 2],
+    )
 
 
 def stone(seed: int) -> ObjectModel:

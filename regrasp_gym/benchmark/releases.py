@@ -8,15 +8,16 @@ from functools import lru_cache, partial
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
 from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial.transform import Rotation
 
-from regrasp_gym.benchmark.drops import SAME_POSE, DropTable, random_hull, stone
+from regrasp_gym.benchmark.drops import SAME_POSE, DropTable, Hand, random_hull, stone
 from regrasp_gym.benchmark.plots import OURS, OURS_TOO, PAPER, check_format, draw
 from regrasp_gym.benchmark.trials import Record, crashes, run_trials, wilson, write_report
 from regrasp_gym.errors import BenchError
@@ -26,7 +27,8 @@ from regrasp_gym.objects.model import ObjectModel
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from regrasp_planner.release import ReleaseCone
+    from regrasp_planner import Grasp, Gripper
+    from regrasp_planner.basins import ReleaseCone
     from regrasp_planner.stab_pose import StablePoses
 
 POSES = 8
@@ -38,10 +40,20 @@ BEYOND = (1.5, 2.0)
 LEAST_TILT = np.deg2rad(1)
 """Less than this is no non-static release, radians."""
 
+RETREAT = 0.1
+"""How far the gripper goes back, metres."""
+
 _TRIES = 60
 _BATCHES = 4
 
-_GROUPS: tuple[str, ...] = ("planned", "anywhere in the cone", "outside of the cone", "paper's cone")
+_GROUPS: tuple[str, ...] = (
+    "planned",
+    "planned, gripper retreating",
+    "… not in the way",
+    "anywhere in the cone",
+    "outside of the cone",
+    "paper's cone",
+)
 
 
 def releases(
@@ -54,10 +66,11 @@ def releases(
 ) -> None:
     """Release shipped objects and random stones at rest, 2 mm above a table, and let them settle in MuJoCo.
 
-    Half of the releases are what GraspGen⁺ plans where the gripper would hit the ground otherwise, the other half are
-    spread evenly over the cones. Beside each, as a control, the same object is released outside of its cone, tilted to
-    the same side by 1.5 to 2 times the half-angle; and within the cone that the paper's alpha shape of 128 starts
-    gives. An interrupted run goes on where it stopped.
+    Half of the releases are what GraspGen⁺ plans where the gripper would hit the ground otherwise, once of the bare
+    object and once with the gripper that opens and goes back, the latter also without those where the gripper would be
+    in the way (`settling_clearance`). The other half are spread evenly over the cones. Beside each, as a control, the
+    same object is released outside of its cone, tilted to the same side by 1.5 to 2 times the half-angle; and within
+    the cone that the paper's alpha shape of 128 starts gives. An interrupted run goes on where it stopped.
 
     Args:
         trials: releases.
@@ -67,10 +80,11 @@ def releases(
         json_file: write the summary as JSON.
         plot_file: draw it (.svg, .png or .pdf).
     """
-    from regrasp_planner.release import DROP, ENERGY, MARGIN
+    from regrasp_planner.basins import DROP, ENERGY, MARGIN
+    from regrasp_planner.release import BLOCKED
 
     check_format(plot_file)
-    rule = {"drop": DROP, "energy": ENERGY, "margin": MARGIN}
+    rule = {"drop": DROP, "energy": ENERGY, "margin": MARGIN, "blocked": BLOCKED}
     setting: Record = {"benchmark": "releases", "version": version("regrasp-gym"), "rule": rule}
     numbers = range(first_trial, first_trial + trials)
     done = run_trials(setting, numbers, _prepare, workers=workers, records=records, label="releases")
@@ -99,10 +113,10 @@ def summarise(done: Sequence[Record]) -> Record:
         },
         "share_by_tilt": _by_tilt([*inside, *groups["outside of the cone"]]),
         "misses": [
-            {"trial": r["trial"], "thing": r["thing"], **drop}
+            {"trial": r["trial"], "thing": r["thing"], "group": name, **drop}
             for r in ended
             for name, drop in r["drops"].items()
-            if name in _GROUPS[:2] and not drop["settled"]
+            if name in _GROUPS[:4] and not drop["settled"]
         ],
         "without_cone": dict(sorted(Counter(name for record in ended for name in record["without_cone"]).items())),
         "crashed": crashes(done),
@@ -142,9 +156,10 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
     return partial(_release, planner_robot().gripper)
 
 
-def _release(gripper: Any, trial: int) -> Record:
+def _release(gripper: Gripper, trial: int) -> Record:
     """One planned release, one outside of the cone and one in the paper's."""
-    from regrasp_planner.release import alpha_shape_angles
+    from regrasp_planner.basins import alpha_shape_angles
+    from regrasp_planner.release import BLOCKED, settling_clearance
 
     rng = np.random.default_rng([trial, 0x5E77])
     planned, is_stone = trial % 2 == 0, trial // 2 % 2 == 1
@@ -158,8 +173,11 @@ def _release(gripper: Any, trial: int) -> Record:
             continue
         k = int(rng.choice(usable))
         cone = cones[k]
-        x = _planned(thing, gripper, cones, k, rng) if planned else within(cone.axis, cone.half_angle, rng)
-        if x is not None:
+        if not planned:
+            x, hand = within(cone.axis, cone.half_angle, rng), None
+            break
+        if found := _planned(thing, gripper, cones, k, rng):
+            x, hand = found
             break
     else:
         raise BenchError(f"none of {_TRIES} objects has a non-static release (trial {trial})")
@@ -172,6 +190,12 @@ def _release(gripper: Any, trial: int) -> Record:
         "planned" if planned else "anywhere in the cone": _drop(table, x, cone.axis, cone.half_angle, rng),
         "outside of the cone": _drop(table, outside, cone.axis, cone.half_angle, rng),
     }
+    if hand is not None:
+        held = DropTable(thing, hand)
+        drops["planned, gripper retreating"] = _drop(held, x, cone.axis, cone.half_angle, rng)
+        opened = [(body + travel)[None] for body, travel in zip(hand.bodies, hand.travel, strict=True)]
+        if settling_clearance(thing.pieces, opened, cone.axis, x[None])[0] >= BLOCKED * float(gripper.max_opening):
+            drops["… not in the way"] = drops["planned, gripper retreating"]
     sampled = alpha_shape_angles(poses)
     if theirs := [j for j in range(min(POSES, len(poses))) if sampled[j] > LEAST_TILT]:
         j = int(rng.choice(theirs))
@@ -187,20 +211,41 @@ def _release(gripper: Any, trial: int) -> Record:
 
 
 def _planned(
-    thing: ObjectModel, gripper: Any, cones: Sequence[ReleaseCone], k: int, rng: np.random.Generator
-) -> Float[np.ndarray, " 3"] | None:
-    """A tilted release into pose k that GraspGen⁺ finds for a target that stands in another pose before."""
+    thing: ObjectModel, gripper: Gripper, cones: Sequence[ReleaseCone], k: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " 3"], Hand] | None:
+    """A tilted release into pose k, and its gripper, that GraspGen⁺ finds for a target that stands otherwise before."""
     from regrasp_planner.grasp_gen import GraspSearch
 
     before = cones[int(rng.choice(np.delete(np.arange(min(POSES, len(cones))), k)))] if len(cones) > 1 else None
     search = GraspSearch(thing.body(), (), gripper)
     tilted = [
-        found.release
+        (found.release, found.grasp)
         for batch in islice(search.grasps(before, cones[k]), _BATCHES)
         for found in batch
         if found.release is not None and _angle(found.release, cones[k].axis) > LEAST_TILT
     ]
-    return tilted[int(rng.integers(len(tilted)))] if tilted else None
+    if not tilted:
+        return None
+    x, grasp = tilted[int(rng.integers(len(tilted)))]
+    return x, _hand(gripper, grasp)
+
+
+def _hand(gripper: Gripper, grasp: Grasp) -> Hand:
+    """The gripper at a grasp: it opens as wide as it can and goes back along its approach axis."""
+    from regrasp_planner.grasp_starts import outer_corners, reduce_gripper
+
+    turn = Rotation.from_quat(grasp.pose[:4], scalar_first=True)
+    screws = np.concatenate([np.zeros((1, 6)), np.asarray(gripper.screws)])
+    if screws[:, 3:].any():
+        raise BenchError("the fingers turn about hinges; this benchmark only knows fingers that slide")
+    hand = reduce_gripper(gripper).hand
+    bodies = [outer_corners(hand[k]) + grasp.theta * screws[k, :3] for k in range(len(screws))]
+    opening = float(gripper.upper) - grasp.theta
+    return Hand(
+        bodies=tuple(turn.apply(body) + grasp.pose[4:] for body in bodies),
+        travel=tuple(turn.apply(opening * screw[:3]) for screw in screws),
+        back=turn.apply(-RETREAT * np.asarray(gripper.approach_axis)),
+    )
 
 
 def _drop(
@@ -210,7 +255,7 @@ def _drop(
     half_angle: float,
     rng: np.random.Generator,
 ) -> Record:
-    from regrasp_planner.release import DROP
+    from regrasp_planner.basins import DROP
     from regrasp_planner.stab_pose import rotation_to
 
     turn = rng.uniform(0, 2 * np.pi)
@@ -236,7 +281,7 @@ def within(axis: Float[np.ndarray, " 3"], half_angle: float, rng: np.random.Gene
 @lru_cache(maxsize=32)
 def _cones(thing: ObjectModel) -> tuple[StablePoses, tuple[ReleaseCone, ...]]:
     from regrasp_planner import stable_poses
-    from regrasp_planner.release import release_cones
+    from regrasp_planner.basins import release_cones
 
     body = thing.body()
     poses = stable_poses(body.hull_vertices(), body.center_of_mass)
@@ -286,7 +331,7 @@ def _paint(report: Record, left: Axes, right: Axes) -> None:
     rows = {name: report["groups"][name] for name in _GROUPS if report["groups"][name]["releases"]}
     shares = [100 * row["share"] for row in rows.values()]
     ends = np.array([[100 * end for end in row["share_95"]] for row in rows.values()]).reshape(-1, 2).T
-    colours: dict[str, str] = dict(zip(_GROUPS, (OURS, OURS, OURS_TOO, PAPER), strict=True))
+    colours: dict[str, str] = dict(zip(_GROUPS, (OURS, OURS, OURS, OURS, OURS_TOO, PAPER), strict=True))
     names = [f"{name}\n({row['releases']})" for name, row in rows.items()]
     error = np.abs(ends - np.array(shares))
     drawn = left.barh(names, shares, color=[colours[name] for name in rows], xerr=error)

@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from regrasp_gym.benchmark.drops import DropTable, random_hull, stone, stone_of
+from regrasp_gym.benchmark.drops import DropTable, Hand, random_hull, stone, stone_of
 from regrasp_gym.benchmark.releases import releases, summarise, within
 from regrasp_gym.benchmark.stable_poses import POINTS, TIMED_POINTS, stable_poses, stands, subject
 from regrasp_gym.benchmark.trials import read_records
 from regrasp_gym.errors import BenchError
 from regrasp_gym.objects import OBJECTS
 from regrasp_planner import stable_poses as stab_pose
-from regrasp_planner.release import DROP, release_cones
+from regrasp_planner.basins import DROP, release_cones
 from regrasp_planner.stab_pose import rotation_to
 
 BOX = OBJECTS["004_sugar_box"]
@@ -52,6 +52,19 @@ def test_drops_repeat_to_the_bit_whatever_was_dropped_before(table):
     again = table.drop(rotation_to(x), 0.01)
     np.testing.assert_array_equal(first.down, again.down)
     assert first.seconds == again.seconds
+
+
+def test_a_gripper_that_lets_go_beside_leaves_the_object_alone_and_one_below_takes_it_along():
+    finger = np.array([[x, y, z] for x in (-0.005, 0.005) for y in (-0.005, 0.005) for z in (-0.03, 0.03)])
+    side, off = np.array([0, 0.047 + 0.005, 0]), np.array([0, 0.02, 0])
+    beside = Hand((finger + side, finger - side), (off, -off), np.array([0, 0, 0.2]))
+    x = tilted([0, 0, -1.0], 0.15, [1.0, 0, 0])
+    free = DropTable(BOX, beside).drop(rotation_to(x), 0.002)
+    assert free.settled_into([0, 0, -1.0])
+    # A hook under the raised edge lifts it over as it goes up.
+    hook = finger * [2, 8, 0.2] + np.array([-0.026, 0, -0.094])
+    lifted = DropTable(BOX, Hand((hook,), (np.zeros(3),), np.array([0, 0, 0.2]))).drop(rotation_to(x), 0.002)
+    assert not lifted.settled_into([0, 0, -1.0])
 
 
 def test_stones_are_what_they_say():
@@ -136,6 +149,7 @@ def test_planned_releases_are_tilted_and_settle(tmp_path):
     assert len(planned) == 6
     assert all(np.deg2rad(1) < drop["tilt"] <= drop["half_angle"] + 1e-9 for drop in planned)
     assert all(drop["settled"] for drop in planned)
+    assert all(drop["… not in the way"]["settled"] for drop in drops if "… not in the way" in drop)
 
 
 def test_the_summary_counts_by_group_and_kind():
@@ -165,6 +179,8 @@ def test_the_summary_counts_by_group_and_kind():
     assert counts == {
         "in the cone": (1, 2),
         "planned": (1, 1),
+        "planned, gripper retreating": (0, 0),
+        "… not in the way": (0, 0),
         "anywhere in the cone": (0, 1),
         "outside of the cone": (0, 1),
         "paper's cone": (1, 1),

@@ -1,28 +1,22 @@
-"""Non-static release: cones within their basins, and the nearest plane that a gripper clears."""
+"""Non-static release: the nearest plane that a gripper clears, and whether the gripper is in the way afterwards."""
 
+import coal
 import jax
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from regrasp_planner import stable_poses
-from regrasp_planner.geometry import facets, mass_properties, qhull
 from regrasp_planner.optim import Sphere, trust_region
 from regrasp_planner.release import (
-    DROP,
-    ENERGY,
-    MARGIN,
-    WIDEST,
+    SETTLING_STEPS,
     ReleaseCone,
-    alpha_shape_angles,
-    basin_angles,
-    energy_angles,
     perturbed_plane,
     plane_clearance,
-    project,
     relaxed_release,
-    release_cones,
+    settling_clearance,
 )
 from regrasp_planner.stab_pose import fibonacci_sphere
 
@@ -47,16 +41,6 @@ def around(axis, angles, rng):
     return np.cos(angles)[:, None] * axis + np.sin(angles)[:, None] * side
 
 
-def falls_onto(vertices, x):
-    """Normal of the facet that the ray along each x pierces, after toppling from it."""
-    hull = qhull(vertices)
-    faces = facets(hull, mass_properties(vertices).center)
-    facet = (x @ faces.normals.T / faces.heights).argmax(axis=1)
-    for _ in faces.normals:
-        facet = faces.topples_to[facet]
-    return faces.normals[facet]
-
-
 def a_grip(rng, grippers=8):
     """A target, its most stable direction, and grippers of 24 points beside and above it."""
     vertices = random_hull(rng)
@@ -67,114 +51,6 @@ def a_grip(rng, grippers=8):
 
 def angle(a, b):
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
-
-
-# --- cones ------------------------------------------------------------------------------------------------------------
-
-
-@settings(deadline=None, max_examples=40)
-@given(SEEDS)
-def test_directions_within_the_rim_fall_into_the_pose_and_just_beyond_its_nearest_point_they_do_not(seed):
-    rng = np.random.default_rng(seed)
-    vertices = random_hull(rng)
-    poses = stable_poses(vertices)
-    for axis, reach in zip(poses.directions, basin_angles(poses), strict=True):
-        inside = around(axis, reach * 0.999 * np.sqrt(rng.uniform(size=200)), rng)
-        np.testing.assert_allclose(falls_onto(vertices, inside), np.broadcast_to(axis, inside.shape), atol=1e-9)
-        beyond = around(axis, np.full(4000, 1.02 * reach + 0.01), rng)
-        assert (angle(falls_onto(vertices, beyond), axis) > 1e-6).any()
-
-
-@settings(deadline=None, max_examples=40)
-@given(SEEDS)
-def test_cones_keep_to_basin_and_energy(seed):
-    rng = np.random.default_rng(seed)
-    poses = stable_poses(random_hull(rng))
-    cones = release_cones(poses)
-    assert len(cones) == len(poses)
-    unlimited = energy_angles(poses, DROP, ENERGY) == np.pi
-    for k, (cone, reach) in enumerate(zip(cones, basin_angles(poses), strict=True)):
-        np.testing.assert_array_equal(cone.axis, poses.directions[k])
-        assert 0 <= cone.half_angle <= max(0, min(reach - MARGIN, WIDEST))
-        if cone.half_angle > 0 and not unlimited[k]:
-            x = around(cone.axis, np.append(cone.half_angle * np.sqrt(rng.uniform(size=300)), cone.half_angle), rng)
-            assert (x @ poses.corners.T).max() + DROP <= poses.height[k] + ENERGY * poses.barrier[k] + 1e-12
-
-
-def test_the_cone_of_a_box_reaches_to_its_nearest_edge():
-    half = np.array([0.03, 0.02, 0.01])
-    poses = stable_poses(CUBE * half)
-    for direction, reach in zip(poses.directions, basin_angles(poses), strict=True):
-        axis = int(np.abs(direction).argmax())
-        assert reach == pytest.approx(np.arctan(np.delete(half, axis).min() / half[axis]))
-    flat = release_cones(poses)[0]
-    assert flat.half_angle == pytest.approx(np.arctan(2) - MARGIN)
-
-
-def test_what_would_roll_on_gets_no_cone():
-    ball = fibonacci_sphere(60) * 0.03
-    poses = stable_poses(ball)
-    assert (basin_angles(poses) > 0.1).any()
-    low = poses.barrier < DROP / ENERGY
-    assert low.sum() > 10
-    cones = release_cones(poses)
-    assert all(cones[k].half_angle == 0 for k in np.flatnonzero(low))
-    # The same ball a hundred times larger does not mind falling 2 mm.
-    assert any(cone.half_angle > 0 for cone in release_cones(stable_poses(100 * ball)))
-
-
-def test_energy_lets_go_of_a_box_on_edge_less_far_than_its_basin():
-    poses = stable_poses(CUBE * [0.024, 0.0465, 0.088])
-    on_edge = int((poses.directions @ [0, -1, 0]).argmax())
-    rim = np.arctan(0.024 / 0.0465)
-    cone = release_cones(poses)[on_edge]
-    assert 0.1 < cone.half_angle < rim - MARGIN - 0.01
-    assert release_cones(poses, energy=np.inf)[on_edge].half_angle == pytest.approx(rim - MARGIN)
-    assert release_cones(poses, drop=0.05)[on_edge].half_angle == 0
-
-
-def test_a_roly_poly_has_no_rim():
-    poses = stable_poses(fibonacci_sphere(200) * 0.03, center_of_mass=np.array([0, 0, -0.02]))
-    assert len(poses) == 1
-    np.testing.assert_array_equal(basin_angles(poses), [np.pi])
-    assert release_cones(poses)[0].half_angle == WIDEST
-
-
-def test_rims_towards_poses_that_were_left_out_count():
-    shaky = stable_poses(CUBE * [0.03, 0.02, 0.01])
-    firm = stable_poses(CUBE * [0.03, 0.02, 0.01], min_margin=0.015)
-    assert len(firm) == 2
-    np.testing.assert_allclose(basin_angles(firm), basin_angles(shaky)[:2])
-
-
-def test_alpha_shapes_of_many_starts_come_to_the_exact_cone():
-    poses = stable_poses(CUBE * [0.03, 0.025, 0.02], starts=4096)
-    exact, sampled = basin_angles(poses), alpha_shape_angles(poses)
-    # The hull of samples is inside of what they are samples of, by their spacing; and starts on a ridge go either way.
-    assert (sampled < exact + 0.03).all()
-    assert (sampled > exact - 0.12).all()
-    few = alpha_shape_angles(stable_poses(CUBE * [0.03, 0.025, 0.02]))
-    assert (few < sampled + 0.02).all()
-
-
-@settings(deadline=None, max_examples=60)
-@given(SEEDS, st.floats(0, 1.39))
-def test_projection_goes_to_the_nearest_direction_of_the_cone_and_stays_there(seed, half_angle):
-    rng = np.random.default_rng(seed)
-    axis = directions(rng)
-    cone = ReleaseCone(axis, half_angle)
-    x = np.concatenate([directions(rng, 20), around(axis, rng.uniform(0, 0.1, 20), rng), axis[None], -axis[None]])
-    projected = project(cone, x)
-    np.testing.assert_allclose(np.linalg.norm(projected, axis=1), 1, atol=1e-12)
-    assert (angle(projected, axis) <= half_angle + 1e-9).all()
-    np.testing.assert_allclose(project(cone, projected), projected, atol=1e-9)
-    inside = angle(x, axis) <= half_angle
-    np.testing.assert_array_equal(projected[inside], x[inside])
-    np.testing.assert_allclose(angle(projected, x)[~inside], (angle(x, axis) - half_angle)[~inside], atol=1e-7)
-    np.testing.assert_allclose(project(cone, x[3]), projected[3], atol=1e-15)
-
-
-# --- planes -----------------------------------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=40)
@@ -275,3 +151,64 @@ def test_a_finger_under_a_lying_box_is_cleared_by_tilting_it_over_its_farthest_c
     arm = np.array([-0.05, -0.05, -0.02]) - finger
     assert angle(x[0], axis) == pytest.approx(np.arcsin(-arm @ axis / np.linalg.norm(arm)))
     assert x[0] @ arm == pytest.approx(0, abs=1e-12)
+
+
+# --- settling ---------------------------------------------------------------------------------------------------------
+
+
+def exact_clearance(piece, points):
+    """coal's signed distance of two hulls."""
+    hulls = []
+    for vertices in (piece, points):
+        cloud = coal.StdVec_Vec3s()
+        cloud.extend(list(vertices))
+        hulls.append(coal.Convex.convexHull(cloud, False, ""))
+    still = coal.Transform3s.Identity()
+    return coal.distance(hulls[0], still, hulls[1], still, coal.DistanceRequest(), coal.DistanceResult())
+
+
+@settings(deadline=None, max_examples=30)
+@given(SEEDS)
+def test_settling_clearance_is_no_more_than_the_exact_one_on_the_way(seed):
+    rng = np.random.default_rng(seed)
+    pieces = [random_hull(rng, 12), random_hull(rng, 8) + 0.03]
+    shapes = [0.3 * random_hull(rng, 10), CUBE * [0.01, 0.005, 0.03]]
+    axis = directions(rng)
+    x = around(axis, rng.uniform(0.05, 1.2, 3), rng)
+    turns = Rotation.random(3, rng).as_matrix()
+    shifts = 0.08 * directions(rng, 3)
+    bodies = [np.einsum("kij,gj->kgi", turns, shape) + shifts[:, None] for shape in shapes]
+    found = settling_clearance(pieces, bodies, axis, x)
+    corners = np.concatenate(pieces)
+    for k in range(3):
+        pivot = corners[(corners @ x[k]).argmax()]
+        turn = np.cross(x[k], axis)
+        turn *= angle(x[k], axis) / np.linalg.norm(turn)
+        exact = np.inf
+        for step in range(1, SETTLING_STEPS + 1):
+            rolled = Rotation.from_rotvec(-step / SETTLING_STEPS * turn)
+            if step == SETTLING_STEPS:
+                # The target rolls forth in the world, so its down direction comes to be the axis.
+                np.testing.assert_allclose(rolled.inv().apply(x[k]), axis, atol=1e-9)
+            moved = [pivot + rolled.apply(piece - pivot) for piece in pieces]
+            exact = min(exact, *(exact_clearance(piece, body[k]) for piece in moved for body in bodies))
+        assert found[k] <= exact + 1e-6
+        # Exact along the normals; only edges that cross are farther apart than those tell.
+        assert found[k] >= exact - 0.02
+
+
+def test_a_finger_under_the_falling_side_is_in_the_way_and_one_beside_it_is_not():
+    box = CUBE * [0.03, 0.03, 0.02]
+    axis = np.array([0, 0, -1.0])
+    tilt = 0.6
+    # Tilted about y, so that the lowest edge is the one at −x: the side at +x is going to fall.
+    x = np.cos(tilt) * axis + np.sin(tilt) * np.array([-1.0, 0, 0])
+    finger = CUBE * [0.005, 0.005, 0.02]
+    below = finger + np.array([0.036, 0, -0.02])
+    beside = finger + np.array([0, 0.0365, 0])
+    bodies = [np.stack([below, beside])]
+    found = settling_clearance([box], bodies, axis, np.stack([x, x]))
+    assert found[0] < -0.01
+    assert found[1] == pytest.approx(0.0015)
+    # Without a tilt only the start counts.
+    assert settling_clearance([box], [below[None]], axis, axis[None])[0] == pytest.approx(0.001)
