@@ -69,7 +69,7 @@ def relaxed_release(
         (K, 3) unit directions x̃ in the cone, the axis where that is clear already, and (K,) whether the gripper clears
         the plane by ``delta``. As the cone is round about the axis, there is no other direction in it where not.
     """
-    x = project(cone, perturbed_plane(target, gripper, cone.axis, delta))
+    x = project(cone, perturbed_plane(target, gripper, cone.axis, delta, within=cone.half_angle))
     return x, plane_clearance(target, gripper, x) >= delta - _rounding(target)
 
 
@@ -132,6 +132,7 @@ def perturbed_plane(
     gripper: Float[np.ndarray, "K G 3"],
     axis: Float[np.ndarray, " 3"],
     delta: float,
+    within: float = 0.5 * np.pi,
 ) -> Float[np.ndarray, "K 3"]:
     """The supporting planes nearest to the nominal one that each of K grippers clears by ``delta``: eq. (9), H(x) = 0.
 
@@ -146,19 +147,21 @@ def perturbed_plane(
         gripper: (K, G, 3) vertices of the gripper's bodies in the target's frame, metres.
         axis: (3,) unit nominal direction.
         delta: clearance wanted, metres, not negative.
+        within: greatest tilt looked at, radians, at most 90°.
 
     Returns:
-        (K, 3) unit directions x̃: ``axis`` where the plane is clear already, and where no plane tilted by less than 90°
-        is (the gripper reaches around the target below it).
+        (K, 3) unit directions x̃: ``axis`` where the plane is clear already. Where no plane tilted by less than
+        ``within`` is clear (the gripper reaches around the target below it), the direction in which at least the
+        gripper's lowest point would be, or ``axis`` if there is none.
     """
     x = np.tile(np.asarray(axis, float), (len(gripper), 1))
     rows = np.flatnonzero(plane_clearance(target, gripper, x) < delta)
     if len(rows):
-        x[rows] = _nearest_clear(target, gripper[rows], np.asarray(axis, float), delta)
+        x[rows] = _nearest_clear(target, gripper[rows], np.asarray(axis, float), delta, float(np.cos(within)))
     return x
 
 
-_CHUNK = 6
+_CHUNK = 3
 """Vertices of the target looked at together."""
 
 _ADDITIONS = 16
@@ -166,58 +169,75 @@ _ADDITIONS = 16
 
 
 def _nearest_clear(
-    target: Float[np.ndarray, "N 3"], gripper: Float[np.ndarray, "K G 3"], axis: Float[np.ndarray, " 3"], delta: float
+    target: Float[np.ndarray, "N 3"],
+    gripper: Float[np.ndarray, "K G 3"],
+    axis: Float[np.ndarray, " 3"],
+    delta: float,
+    least_cosine: float,
 ) -> Float[np.ndarray, "K 3"]:
-    count, tolerance = len(gripper), 0.1 * _rounding(target)
-    rows = np.arange(count)
-    lowest = gripper[rows, (gripper @ axis).argmax(axis=1)]
-    first, cosine = _onto_cap(target - lowest[:, None], axis, delta)
-    order = np.argsort(-cosine, axis=1)
-    best, best_cosine = np.tile(axis, (count, 1)), np.zeros(count)
-    for begin in range(0, len(target), _CHUNK):
-        # A vertex is worth looking at while its first cap alone does not tilt the plane more than the best so far.
-        rows = rows[cosine[rows, order[rows, begin]] > best_cosine[rows]]
-        if len(rows) == 0:
-            break
-        some = order[rows, begin : begin + _CHUNK]
-        one = rows[:, None]
-        x, found = _through_caps(target[some], gripper[rows], first[one, some], lowest[rows], axis, delta, tolerance)
-        value = np.where(found, x @ axis, 0.0)
-        winner = value.argmax(axis=1)
-        own = np.arange(len(rows))
+    tolerance = 0.1 * _rounding(target)
+    lowest = gripper[np.arange(len(gripper)), (gripper @ axis).argmax(axis=1)]
+    # The cosine that each vertex can give at best; one is worth looking at while that is above the best so far.
+    bound = _cap_cosines(target, lowest, axis, delta)
+    alone, value = _onto_cap((target[bound.argmax(axis=1)] - lowest)[:, None], axis, delta)
+    best = np.where(value > 0, alone[:, 0], axis)
+    best_cosine = np.full(len(gripper), least_cosine)
+    while len(rows := np.flatnonzero(bound.max(axis=1) > best_cosine)):
+        some = np.argpartition(-bound[rows], min(_CHUNK, len(target) - 1), axis=1)[:, :_CHUNK]
+        x, found, active = _through_caps(target[some], gripper[rows], lowest[rows], axis, delta, tolerance)
+        value = np.where(found, x @ axis, -1.0)
+        own, winner = np.arange(len(rows)), value.argmax(axis=1)
         better = value[own, winner] > best_cosine[rows]
         best[rows[better]] = x[own, winner][better]
         best_cosine[rows[better]] = value[own, winner][better]
+        bound[rows[:, None], some] = -1.0
+        # The points of the gripper that bind this solution bind those of other vertices too.
+        for binding in np.moveaxis(target[some][own, winner][:, None] - active[own, winner], 1, 0):
+            tighter = _cap_cosines(target, binding, axis, delta)
+            bound[rows] = np.fmin(bound[rows], tighter)
     return best
+
+
+def _cap_cosines(
+    target: Float[np.ndarray, "N 3"], g: Float[np.ndarray, "K 3"], axis: Float[np.ndarray, " 3"], delta: float
+) -> Float[np.ndarray, "K N"]:
+    """Cosine of the tilt to the nearest point of each cap (v − g)·x ≥ δ; −1 where the cap is empty."""
+    square = (target * target).sum(axis=1) - 2 * g @ target.T + (g * g).sum(axis=1)[:, None]
+    length = np.sqrt(np.maximum(square, 1e-300))
+    along, level = (target @ axis - (g @ axis)[:, None]) / length, delta / length
+    # The angle between w and the axis less that between w and the rim of its cap.
+    apart = along * level + np.sqrt(np.maximum((1 - along**2) * (1 - level**2), 0.0))
+    return np.where(level >= 1, -1.0, np.where(along >= level, 1.0, apart))
 
 
 def _through_caps(
     v: Float[np.ndarray, "K M 3"],
     gripper: Float[np.ndarray, "K G 3"],
-    x: Float[np.ndarray, "K M 3"],
     lowest: Float[np.ndarray, "K 3"],
     axis: Float[np.ndarray, " 3"],
     delta: float,
     tolerance: float,
-) -> tuple[Float[np.ndarray, "K M 3"], Bool[np.ndarray, "K M"]]:
+) -> tuple[Float[np.ndarray, "K M 3"], Bool[np.ndarray, "K M"], Float[np.ndarray, "K M 2 3"]]:
     """Point nearest to the axis in all caps (v − g)·x ≥ δ, for each v, and whether there is one within 90°.
 
-    ``x`` is the nearest point of the cap of the gripper point ``lowest``.
+    The cap of the gripper point ``lowest`` is the first one. The third array holds v − g of the caps that bind, NaN for
+    none.
     """
-    k, m = v.shape[:2]
     w = v - lowest[:, None]
+    x, value = _onto_cap(w, axis, delta)
     # The one or two caps whose rims x lies on; NaN for none.
     active = np.stack([w, np.full_like(w, np.nan)], axis=2)
-    x = x.copy()
-    pending = ~np.isnan(x[..., 0])
-    found = np.zeros((k, m), bool)
+    pending = value > 0
+    found = np.zeros_like(pending)
     for _ in range(_ADDITIONS):
-        i, j = np.nonzero(pending)
-        if len(i) == 0:
+        rows = np.flatnonzero(pending.any(axis=1))
+        if len(rows) == 0:
             break
+        deepest = np.zeros(pending.shape, int)
+        deepest[rows] = (gripper[rows] @ np.swapaxes(x[rows], 1, 2)).argmax(axis=1)
+        i, j = np.nonzero(pending)
         here = x[i, j]
-        deepest = gripper[i, np.einsum("ngi,ni->ng", gripper[i], here).argmax(axis=1)]
-        new = v[i, j] - deepest
+        new = v[i, j] - gripper[i, deepest[i, j]]
         clear = (new * here).sum(axis=1) >= delta - tolerance
         found[i[clear], j[clear]] = True
         pending[i[clear], j[clear]] = False
@@ -238,7 +258,7 @@ def _through_caps(
         partner = np.where(winner[:, None] == 0, np.nan, np.where(winner[:, None] <= 2, old[:, 0], old[:, 1]))
         active[i, j, 1] = partner
         pending[i, j] = value[n, winner] > 0
-    return x, found
+    return x, found, active
 
 
 def _onto_cap(
