@@ -49,7 +49,7 @@ _BATCHES = 4
 _GROUPS: tuple[str, ...] = (
     "planned",
     "planned, gripper retreating",
-    "… not in the way",
+    "… no finger in the way",
     "anywhere in the cone",
     "outside of the cone",
     "paper's cone",
@@ -67,8 +67,8 @@ def releases(
     """Release shipped objects and random stones at rest, 2 mm above a table, and let them settle in MuJoCo.
 
     Half of the releases are what GraspGen⁺ plans where the gripper would hit the ground otherwise, once of the bare
-    object and once with the gripper that opens and goes back, the latter also without those where the gripper would be
-    in the way (`settling_clearance`). The other half are spread evenly over the cones. Beside each, as a control, the
+    object and once with the gripper that opens and goes back, the latter also without those where a finger would be in
+    the way (`settling_clearance`). The other half are spread evenly over the cones. Beside each, as a control, the
     same object is released outside of its cone, tilted to the same side by 1.5 to 2 times the half-angle; and within
     the cone that the paper's alpha shape of 128 starts gives. An interrupted run goes on where it stopped.
 
@@ -84,7 +84,7 @@ def releases(
     from regrasp_planner.release import BLOCKED
 
     check_format(plot_file)
-    rule = {"drop": DROP, "energy": ENERGY, "margin": MARGIN, "blocked": BLOCKED}
+    rule = {"drop": DROP, "energy": ENERGY, "margin": MARGIN, "blocked": BLOCKED, "blocking": "fingers"}
     setting: Record = {"benchmark": "releases", "version": version("regrasp-gym"), "rule": rule}
     numbers = range(first_trial, first_trial + trials)
     done = run_trials(setting, numbers, _prepare, workers=workers, records=records, label="releases")
@@ -193,9 +193,9 @@ def _release(gripper: Gripper, trial: int) -> Record:
     if hand is not None:
         held = DropTable(thing, hand)
         drops["planned, gripper retreating"] = _drop(held, x, cone.axis, cone.half_angle, rng)
-        opened = [(body + travel)[None] for body, travel in zip(hand.bodies, hand.travel, strict=True)]
-        if settling_clearance(thing.pieces, opened, cone.axis, x[None])[0] >= BLOCKED * float(gripper.max_opening):
-            drops["… not in the way"] = drops["planned, gripper retreating"]
+        fingers = [(body + travel)[None] for body, travel in list(zip(hand.bodies, hand.travel, strict=True))[1:]]
+        if settling_clearance(thing.pieces, fingers, cone.axis, x[None])[0] >= BLOCKED * float(gripper.max_opening):
+            drops["… no finger in the way"] = drops["planned, gripper retreating"]
     sampled = alpha_shape_angles(poses)
     if theirs := [j for j in range(min(POSES, len(poses))) if sampled[j] > LEAST_TILT]:
         j = int(rng.choice(theirs))

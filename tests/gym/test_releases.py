@@ -149,7 +149,7 @@ def test_planned_releases_are_tilted_and_settle(tmp_path):
     assert len(planned) == 6
     assert all(np.deg2rad(1) < drop["tilt"] <= drop["half_angle"] + 1e-9 for drop in planned)
     assert all(drop["settled"] for drop in planned)
-    assert all(drop["… not in the way"]["settled"] for drop in drops if "… not in the way" in drop)
+    assert all(drop["… no finger in the way"]["settled"] for drop in drops if "… no finger in the way" in drop)
 
 
 def test_the_summary_counts_by_group_and_kind():
@@ -180,7 +180,7 @@ def test_the_summary_counts_by_group_and_kind():
         "in the cone": (1, 2),
         "planned": (1, 1),
         "planned, gripper retreating": (0, 0),
-        "… not in the way": (0, 0),
+        "… no finger in the way": (0, 0),
         "anywhere in the cone": (0, 1),
         "outside of the cone": (0, 1),
         "paper's cone": (1, 1),
