@@ -30,7 +30,7 @@ from regrasp_planner.grasp_starts import (
     reduce_gripper,
     uniform_starts,
 )
-from regrasp_planner.release import ReleaseCone, plane_clearance, relaxed_release
+from regrasp_planner.release import BLOCKED, ReleaseCone, plane_clearance, relaxed_release, settling_clearance
 from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Scene
 
@@ -125,7 +125,7 @@ class GraspSearch:
                 tried += batch
                 grasps = [self._grasp(self._starts.poses[i], self._known[i]) for i in batch]
                 found = [Found(grasp, release[i]) for i, grasp in zip(batch, grasps, strict=True) if grasp is not None]
-                if found:
+                if found := self._settling(found, end):
                     yield found
         if self._improved:
             poses = np.array([pose for pose, _ in self._improved])
@@ -161,7 +161,8 @@ class GraspSearch:
         """Those of K solved grasps that are feasible and clear the ground."""
         release, clear, _ = self._grounds(self._around(poses, thetas), start, end)
         grasps = [self._grasp(pose, each) for pose, each in zip(poses, terms, strict=True)]
-        return [Found(grasp, release[k]) for k, grasp in enumerate(grasps) if grasp is not None and clear[k]]
+        found = [Found(grasp, release[k]) for k, grasp in enumerate(grasps) if grasp is not None and clear[k]]
+        return self._settling(found, end)
 
     # --- starts -------------------------------------------------------------------------------------------------------
 
@@ -233,7 +234,23 @@ class GraspSearch:
         """Corners of palm and fingers in the target's frame, opened for the target and opened wide."""
         upper = np.full(len(thetas), float(self.gripper.upper))
         opened = np.minimum(thetas + self._margin, upper)
-        return np.concatenate([gripper_corners(self.gripper, poses, theta) for theta in (opened, upper)], axis=1)
+        parts = [part for theta in (opened, upper) for part in gripper_corners(self.gripper, poses, theta)]
+        return np.concatenate(parts, axis=1)
+
+    def _settling(self, found: list[Found], end: ReleaseCone | None) -> list[Found]:
+        """Those whose fingers, opened wide, are not in the way of the target as it settles."""
+        tilted = [
+            each for each in found if each.release is not None and end is not None and each.release @ end.axis < 1
+        ]
+        if end is None or end.half_angle <= 0 or not tilted:
+            return found
+        poses = np.array([each.grasp.pose for each in tilted])
+        _, *fingers = gripper_corners(self.gripper, poses, np.full(len(tilted), float(self.gripper.upper)))
+        directions = np.array([each.release for each in tilted])
+        pieces = [piece.hull_vertices() for piece in self.target.pieces]
+        clearance = settling_clearance(pieces, fingers, end.axis, directions)
+        blocked = {id(each) for each, gap in zip(tilted, clearance, strict=True) if gap < BLOCKED * self._length}
+        return [each for each in found if id(each) not in blocked]
 
     def _grounds(
         self, bodies: Float[np.ndarray, "K G 3"], start: ReleaseCone | None, end: ReleaseCone | None

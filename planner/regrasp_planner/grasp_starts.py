@@ -253,14 +253,14 @@ def uniform_starts(hull: Float[np.ndarray, "N 3"], gripper: Gripper, count: int,
 
 def gripper_corners(
     gripper: Gripper, poses: Float[np.ndarray, "K 7"], theta: Float[np.ndarray, " K"]
-) -> Float[np.ndarray, "K G 3"]:
-    """Corners of palm and fingers (their hulls), in the frame the gripper poses are given in, metres."""
+) -> list[Float[np.ndarray, "K G 3"]]:
+    """Corners of the hulls of palm, finger 0 and finger 1, in the frame the gripper poses are given in, metres."""
     hand = reduce_gripper(gripper).hand
     palm, *fingers = (outer_corners(hand[k]) for k in range(3))
-    corners = [np.broadcast_to(palm, (len(theta), *palm.shape))]
-    corners += [_moved(points, screw, theta) for points, screw in zip(fingers, np.asarray(gripper.screws), strict=True)]
+    local = [np.broadcast_to(palm, (len(theta), *palm.shape))]
+    local += [_moved(points, screw, theta) for points, screw in zip(fingers, np.asarray(gripper.screws), strict=True)]
     turns = Rotation.from_quat(poses[:, :4], scalar_first=True).as_matrix().reshape(-1, 3, 3)
-    return np.einsum("kij,kgj->kgi", turns, np.concatenate(corners, axis=1)) + poses[:, None, 4:]
+    return [np.einsum("kij,kgj->kgi", turns, part) + poses[:, None, 4:] for part in local]
 
 
 def _moved(

@@ -190,7 +190,7 @@ def test_bounding_boxes_overlap_where_the_bodies_do(panda, build):
     opened = np.full(200, 0.03)
     block = ConvexBody.stack([ConvexBody.box((0.1, 0.06, 0.04))])
     total, least = overlaps(poses, opened, gripper, bounding_boxes(block), build.pose()[None], 0.005)
-    corners = gripper_corners(gripper, poses, opened)
+    corners = np.concatenate(gripper_corners(gripper, poses, opened), axis=1)
     inside = (np.abs(corners) < [0.05, 0.03, 0.02]).all(axis=2).any(axis=1)
     assert inside.sum() > 10
     assert (least[inside] <= 0).all()
@@ -273,7 +273,8 @@ def test_grasps_clear_the_ground_they_are_asked_for(panda, down):
     assert len(tilted) >= len(upright)
     assert tilted
     for found in [*upright, *tilted]:
-        corners = gripper_corners(panda.gripper, found.grasp.pose[None], np.array([found.grasp.opening]))
+        opening = np.array([found.grasp.opening])
+        corners = np.concatenate(gripper_corners(panda.gripper, found.grasp.pose[None], opening), axis=1)
         assert plane_clearance(body.hull_vertices(), corners, found.release[None])[0] > margin - 1e-6
         assert np.arccos(np.clip(found.release @ down, -1, 1)) < 0.3 + 1e-6
     assert all(found.release @ down > 1 - 1e-12 for found in upright)
