@@ -271,7 +271,8 @@ def test_grasps_clear_the_ground_they_are_asked_for(panda, down):
     upright = [found for batch in search.grasps(end=ReleaseCone(down, 0.0)) for found in batch]
     tilted = [found for batch in search.grasps(end=ReleaseCone(down, 0.3)) for found in batch]
     assert len(tilted) >= len(upright)
-    assert tilted
+    # Closing from above and below, one finger would be under the box as it settles.
+    assert bool(tilted) == (abs(down[0]) < 1)
     for found in [*upright, *tilted]:
         opening = np.array([found.grasp.opening])
         corners = np.concatenate(gripper_corners(panda.gripper, found.grasp.pose[None], opening), axis=1)
