@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from regrasp_gym.benchmark.shapes import Posed, Shape, clear
 from regrasp_planner import Body, Gripper
 from regrasp_planner.geometry.hull import qhull
 from regrasp_planner.grasp_starts import reduce_gripper
-
-from regrasp_gym.benchmark.shapes import Posed, Shape, clear
 
 _TOUCH = 5e-4
 """Surface points this near (metres) to where a pad touches belong to the contact."""

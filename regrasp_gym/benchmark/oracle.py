@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from regrasp_planner import Body, Robot, Task
-from regrasp_planner.scene import Obstacle
 from scipy.spatial.transform import Rotation
 
 from regrasp_gym.benchmark.antipodal import AntipodalOptions, Candidates, sample_grasps
 from regrasp_gym.benchmark.reach import Reach, ReachOptions
 from regrasp_gym.benchmark.shapes import Posed, Shape, clear
+from regrasp_planner import Body, Robot, Task
+from regrasp_planner.scene import Obstacle
 
 _WAYPOINTS = 3
 """Points checked on a straight line."""
@@ -35,9 +35,11 @@ class OracleOptions:
         grasps: how densely grasps are sampled.
         reach: effort of the inverse kinematics.
         batch: grasps whose inverse kinematics is solved together.
+        tried: most grasps, of those free of collision, whose inverse kinematics is solved for one answer.
         straight: whether the arm must also be able to come and go in straight lines; see the next three.
         retreat: least straight line of the open gripper off the target, metres.
         lift, lower: least height by which the held target is lifted off, and lowered from, metres.
+        slack: share of the opening by which a grasp may fall short of its margin, as GraspGen allows.
         margin_held: of the held target from obstacles at the upper end of these lines, metres.
         lines: configurations per grasp whose straight lines are tried.
     """
@@ -45,10 +47,12 @@ class OracleOptions:
     grasps: AntipodalOptions = field(default_factory=AntipodalOptions)
     reach: ReachOptions = field(default_factory=ReachOptions)
     batch: int = 32
+    tried: int = 100_000
     straight: bool = True
     retreat: float = 0.06
     lift: float = 0.03
     lower: float = 0.015
+    slack: float = 0.01
     margin_held: float = 0.005
     lines: int = 6
 
@@ -77,7 +81,7 @@ class Oracle:
     def __init__(self, robot: Robot, options: OracleOptions | None = None) -> None:
         self.options = options or OracleOptions()
         self.reach = Reach(robot, self.options.reach)
-        self.clearance = self.options.grasps.margin * float(robot.gripper.max_opening)
+        self.clearance = (self.options.grasps.margin - self.options.slack) * float(robot.gripper.max_opening)
         self.approach_axis = np.asarray(robot.gripper.approach_axis)
         self._robot = robot
         self._candidates: dict[str, Candidates] = {}
@@ -106,7 +110,7 @@ class Oracle:
         """The grasps with the fingers either way round (2k and 2k + 1), shuffled, batch by batch."""
         both = np.concatenate([2 * grasps, 2 * grasps + 1])
         mixed = np.random.default_rng(0).permutation(both)
-        for begin in range(0, len(mixed), self.options.batch):
+        for begin in range(0, min(len(mixed), self.options.tried), self.options.batch):
             yield mixed[begin : begin + self.options.batch]
 
 
@@ -187,7 +191,7 @@ class _End:
 
     def _line(self, q: np.ndarray, grasps: np.ndarray, displacements: np.ndarray, *, held: bool) -> np.ndarray:
         """Which configurations can follow their displacement, the gripper keeping its orientation."""
-        oracle, options, reach = self.oracle, self.oracle.options, self.oracle.reach
+        options, reach = self.oracle.options, self.oracle.reach
         rotations, positions = self._frames(grasps)
         thetas = (self.grasps.thetas if held else self.grasps.openings)[grasps // 2]
         good = np.arange(len(q))

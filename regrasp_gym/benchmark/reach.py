@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from regrasp_planner import Robot
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from regrasp_gym.benchmark.antipodal import Hand
 from regrasp_gym.benchmark.shapes import Posed, Shape, clear
+from regrasp_planner import Robot
 
 _RADIAN = 0.25
 """Metres that count as much as a radian."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from regrasp_planner import ConvexBody
 
 from regrasp_gym.benchmark.trials import peer
+from regrasp_planner import ConvexBody
 
 _CHUNK = 500
 

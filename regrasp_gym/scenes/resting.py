@@ -45,9 +45,14 @@ class RestingPose:
     @property
     def level_width(self) -> float:
         """Least distance (metres) of two upright, parallel planes that hold the object as it lies."""
+        return float(np.ptp(self.footprint @ self.level_axis))
+
+    @property
+    def level_axis(self) -> Float[np.ndarray, " 2"]:
+        """(2,) horizontal unit normal of these two planes at yaw zero."""
         edges = np.roll(self.footprint, -1, axis=0) - self.footprint
         normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
-        return float(np.ptp(self.footprint @ normals.T, axis=0).min())
+        return normals[np.ptp(self.footprint @ normals.T, axis=0).argmin()]
 
 
 @lru_cache(maxsize=256)

@@ -24,7 +24,6 @@ TARGETS = (
     "004_sugar_box",
     "005_tomato_soup_can",
     "006_mustard_bottle",
-    "009_gelatin_box",
     "010_potted_meat_can",
     "021_bleach_cleanser",
     "061_foam_brick",
@@ -79,7 +78,9 @@ class TableShelfConfig:
         shelf_thickness: of all boards and walls.
         goal_gap: least gap between the target at its goal and its neighbours on the shelf, seen from above.
         goal_depth: least and most distance of the goal's footprint from the board's front edge.
-        goal_yaw: the goal's turn from facing the opening is uniform in ± this.
+        goal_wall_gap: least gap between the target at its goal and the side walls of the shelf.
+        goal_yaw: at its goal the target is turned by up to ± this, at most a right angle, from where the gripper would
+            take it straight from the front by its narrow sides, with either of these to the left.
         max_opening: of the gripper; targets must have less least width than this minus ``opening_margin``.
         opening_margin: see ``max_opening``.
     """
@@ -87,10 +88,10 @@ class TableShelfConfig:
     targets: tuple[str, ...] = TARGETS
     clutter: tuple[str, ...] = CLUTTER
     shelf_objects: tuple[str, ...] = SHELF_OBJECTS
-    table_clutter: tuple[int, int] = (2, 4)
+    table_clutter: tuple[int, int] = (3, 5)
     shelf_clutter: tuple[int, int] = (2, 3)
     pick_center: tuple[float, float] = (0.46, -0.31)
-    pick_size: tuple[float, float] = (0.36, 0.36)
+    pick_size: tuple[float, float] = (0.32, 0.30)
     pick_gap: float = 0.015
     pick_reach: float = 0.68
     landing_weight: float = 1.0
@@ -98,14 +99,15 @@ class TableShelfConfig:
     release_size: tuple[float, float] = (0.28, 0.24)
     table_center: tuple[float, float] = (0.32, 0.02)
     table_size: tuple[float, float, float] = (1.2, 1.5, 0.04)
-    shelf_center: tuple[float, float] = (0.46, 0.46)
-    shelf_inside: tuple[float, float] = (0.42, 0.24)
+    shelf_center: tuple[float, float] = (0.481, 0.481)
+    shelf_inside: tuple[float, float] = (0.54, 0.30)
     board_height: float = 0.16
-    shelf_clearance: float = 0.42
+    shelf_clearance: float = 0.31
     shelf_thickness: float = 0.015
     goal_gap: float = 0.015
-    goal_depth: tuple[float, float] = (0.01, 0.05)
-    goal_yaw: float = np.pi
+    goal_depth: tuple[float, float] = (0.03, 0.09)
+    goal_wall_gap: float = 0.1
+    goal_yaw: float = 0.5
     max_opening: float = 0.08
     opening_margin: float = 0.004
 
@@ -198,6 +200,8 @@ def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfS
     if seed < 0:
         raise SceneError(f"scene seed is {seed}; give a non-negative integer")
     rng = np.random.default_rng([seed, 0x7AB1E])
+    # A stream of its own: what lies on the table does not change what stands on the shelf.
+    (shelf_rng,) = rng.spawn(1)
     model = OBJECTS[str(rng.choice(config.targets))]
     names = [str(name) for name in rng.permutation(config.clutter) if name != model.name]
     pick = _Area(np.array(config.pick_center), 0.0, np.array(config.pick_size), 0.0, config.pick_gap)
@@ -206,11 +210,11 @@ def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfS
     table = _scatter(rng, n_table, names, pick, lambda m: _draw_resting(rng, resting_poses(m), config.landing_weight))
 
     board = _shelf_area(config)
-    goal = _place_goal(rng, model, board, config)
-    n_shelf = int(rng.integers(config.shelf_clutter[0], config.shelf_clutter[1] + 1))
+    goal = _place_goal(shelf_rng, model, board, config)
+    n_shelf = int(shelf_rng.integers(config.shelf_clutter[0], config.shelf_clutter[1] + 1))
     taken = {model.name, *(thing.name for thing in table)}
-    standing = [str(name) for name in rng.permutation(config.shelf_objects) if name not in taken]
-    shelf = _scatter(rng, n_shelf, standing, board, upright_pose)
+    standing = [str(name) for name in shelf_rng.permutation(config.shelf_objects) if name not in taken]
+    shelf = _scatter(shelf_rng, n_shelf, standing, board, upright_pose)
     center = np.array([*config.release_center, 0.0])
     return TableShelfScene(
         seed=int(seed),
@@ -248,12 +252,17 @@ class _Area:
         self.center, self.yaw, self.size, self.height, self.gap = center, yaw, size, height, gap
         self.placed: list[np.ndarray] = []
 
-    def draw(self, rng: np.random.Generator, resting: RestingPose, yaw: float = np.pi) -> _Draws:
-        """Random turns within ± ``yaw`` and random positions at which the footprint is inside the rectangle."""
-        yaws = rng.uniform(-yaw, yaw, _TRIES)
+    def draw(self, rng: np.random.Generator, resting: RestingPose) -> _Draws:
+        """Random turns, and random positions at which the footprint is inside the rectangle."""
+        return self.turned(rng, resting, rng.uniform(-np.pi, np.pi, _TRIES))
+
+    def turned(
+        self, rng: np.random.Generator, resting: RestingPose, yaws: Float[np.ndarray, " T"], side_gap: float = 0.0
+    ) -> _Draws:
+        """Given turns, and random positions, a gap being left on the sides at least and greatest local y."""
         footprints = np.einsum("tij,kj->tki", np.moveaxis(_turn(yaws), -1, 0), resting.footprint)
-        low = -self.size / 2 - footprints.min(axis=1)
-        high = self.size / 2 - footprints.max(axis=1)
+        inside = self.size / 2 - [0.0, side_gap]
+        low, high = -inside - footprints.min(axis=1), inside - footprints.max(axis=1)
         positions = low + rng.random((_TRIES, 2)) * (high - low)
         return _Draws(yaws, positions, footprints, low, (low <= high).all(axis=1))
 
@@ -298,7 +307,10 @@ def _place_target(rng: np.random.Generator, model: ObjectModel, area: _Area, con
 def _place_goal(rng: np.random.Generator, model: ObjectModel, board: _Area, config: TableShelfConfig) -> Pose:
     resting = upright_pose(model)
     assert resting is not None, "the config has checked that its targets stand upright"
-    draws = board.draw(rng, resting, config.goal_yaw)
+    across = resting.level_axis
+    facing = np.pi / 2 - np.arctan2(across[1], across[0]) + np.pi * rng.integers(0, 2, _TRIES)
+    yaws = facing + rng.uniform(-config.goal_yaw, config.goal_yaw, _TRIES)
+    draws = board.turned(rng, resting, yaws, config.goal_wall_gap)
     # Local x runs from the front edge to the back wall.
     draws.positions[:, 0] = np.minimum(
         draws.low[:, 0] + rng.uniform(*config.goal_depth, _TRIES), board.size[0] / 2 - draws.footprints[..., 0].max(1)
