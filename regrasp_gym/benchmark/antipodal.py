@@ -1,8 +1,8 @@
 """Dense antipodal grasps of a target by itself: the candidates of the oracle, worked out once per target.
 
-Nothing is optimised here. Rays from many surface points give closing axes; about each axis the gripper is turned, moved
-across and pushed in by small steps; where the pads then touch is read off a dense cloud of surface points, and the exact
-hulls decide whether palm and fingers keep clear of the target.
+Nothing is optimised here. Rays from many surface points give closing axes; about each axis the gripper is turned,
+moved across and pushed in by small steps; where the pads then touch is read off a dense cloud of surface points, and
+the exact hulls decide whether palm and fingers keep clear of the target.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import gymnasium
 import tyro
 from rich.console import Console
 
+from regrasp_gym.benchmark.difficulty import difficulty
 from regrasp_gym.benchmark.distance import distance
 from regrasp_gym.benchmark.episodes import episodes
 from regrasp_gym.benchmark.ik import ik
@@ -22,6 +23,7 @@ from regrasp_gym.errors import EnvError
 def main() -> None:
     """Entry point."""
     tables = {
+        "difficulty": difficulty,
         "distance": distance,
         "episodes": episodes,
         "ik": ik,

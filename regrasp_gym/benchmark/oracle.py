@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,6 @@ class OracleOptions:
         reach: effort of the inverse kinematics.
         batch: grasps whose inverse kinematics is solved together.
         tried: most grasps, of those free of collision, whose inverse kinematics is solved for one answer.
-        straight: whether the arm must also be able to come and go in straight lines; see the next three.
         retreat: least straight line of the open gripper off the target, metres.
         lift, lower: least height by which the held target is lifted off, and lowered from, metres.
         slack: share of the opening by which a grasp may fall short of its margin, as GraspGen allows.
@@ -48,7 +48,6 @@ class OracleOptions:
     reach: ReachOptions = field(default_factory=ReachOptions)
     batch: int = 32
     tried: int = 100_000
-    straight: bool = True
     retreat: float = 0.06
     lift: float = 0.03
     lower: float = 0.015
@@ -57,19 +56,30 @@ class OracleOptions:
     lines: int = 6
 
 
+class Use(IntEnum):
+    """What can be done with the best of some grasps."""
+
+    NONE = 0
+    """Nothing: each is in collision, or no configuration of the arm without collision has the gripper there."""
+    REACHED = 1
+    """Some configuration of the arm without collision has the gripper there."""
+    MOVED = 2
+    """From such a configuration, straight lines lead off the target, and up with the target held."""
+
+
 class Verdict(NamedTuple):
     """What the oracle says of a task.
 
     Attributes:
-        pick: whether some grasp can be used at the start.
-        goal: whether some grasp can be used at the goal.
-        both: whether one grasp can be used at both.
+        pick: of the best grasp at the start.
+        goal: of the best grasp at the goal.
+        both: of the best grasp for both: the lesser of its two uses.
         pick_grasps, goal_grasps, common_grasps: grasps of the grid that are free of collision, the arm left aside.
     """
 
-    pick: bool
-    goal: bool
-    both: bool
+    pick: Use
+    goal: Use
+    both: Use
     pick_grasps: int
     goal_grasps: int
     common_grasps: int
@@ -97,14 +107,25 @@ class Oracle:
         ]
         pick, goal = ends
         common = np.intersect1d(pick.free, goal.free)
-        both = False
+        both = Use.NONE
         for batch in self._batches(common):
-            there = batch[goal.usable(batch)]
-            if len(there) and pick.usable(there).any():
-                both = True
+            at_goal = goal.uses(batch)
+            better = at_goal > both
+            uses = np.minimum(at_goal[better], pick.uses(batch[better]))
+            both = Use(max([both, *uses.tolist()]))
+            if both is Use.MOVED:
                 break
-        at_pick, at_goal = (both or any(end.usable(batch).any() for batch in self._batches(end.free)) for end in ends)
-        return Verdict(at_pick, at_goal, both, len(pick.free), len(goal.free), len(common))
+        return Verdict(
+            self._best(pick, both), self._best(goal, both), both, len(pick.free), len(goal.free), len(common)
+        )
+
+    def _best(self, end: _End, known: Use) -> Use:
+        best = known
+        for batch in self._batches(end.free):
+            if best is Use.MOVED:
+                break
+            best = Use(max([best, *end.uses(batch).tolist()]))
+        return best
 
     def _batches(self, grasps: Int[np.ndarray, " N"]) -> Iterator[Int[np.ndarray, " B"]]:
         """The grasps with the fingers either way round (2k and 2k + 1), shuffled, batch by batch."""
@@ -135,27 +156,26 @@ class _End:
             self.turn @ grasps.rotations, grasps.positions @ self.turn.T + self.shift, grasps.openings
         )
         self.free = np.flatnonzero(clear(hand, self.world, oracle.clearance))
-        self._known: dict[int, bool] = {}
+        self._known: dict[int, int] = {}
 
-    def usable(self, grasps: Int[np.ndarray, " B"]) -> np.ndarray:
-        """Which of the grasps (2k, or 2k + 1 with the fingers exchanged) the arm can use here."""
+    def uses(self, grasps: Int[np.ndarray, " B"]) -> Int[np.ndarray, " B"]:
+        """`Use` of each of the grasps (2k, or 2k + 1 with the fingers exchanged) here."""
         new = np.array([grasp for grasp in grasps if int(grasp) not in self._known], dtype=int)
         if len(new):
-            self._known |= dict(zip(new.tolist(), self._reached(new).tolist(), strict=True))
-        return np.array([self._known[int(grasp)] for grasp in grasps], bool)
+            self._known |= dict(zip(new.tolist(), self._judged(new).tolist(), strict=True))
+        return np.array([self._known[int(grasp)] for grasp in grasps], dtype=int)
 
-    def _reached(self, grasps: np.ndarray) -> np.ndarray:
+    def _judged(self, grasps: Int[np.ndarray, " B"]) -> Int[np.ndarray, " B"]:
         oracle = self.oracle
-        usable = np.zeros(len(grasps), bool)
+        uses = np.zeros(len(grasps), dtype=int)
         q, owner = oracle.reach.solve(*self._frames(grasps))
         free = self._arm_free(q, self.grasps.openings[grasps[owner] // 2])
         q, owner = q[free], owner[free]
-        if oracle.options.straight:
-            rank = np.arange(len(owner)) - np.searchsorted(owner, owner)
-            q, owner = q[rank < oracle.options.lines], owner[rank < oracle.options.lines]
-            owner = owner[self._straight(q, grasps[owner])]
-        usable[owner] = True
-        return usable
+        uses[owner] = Use.REACHED
+        few = np.arange(len(owner)) - np.searchsorted(owner, owner) < oracle.options.lines
+        q, owner = q[few], owner[few]
+        uses[owner[self._straight(q, grasps[owner])]] = Use.MOVED
+        return uses
 
     def _frames(self, grasps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gripper frames in the world."""

@@ -80,7 +80,7 @@ class Reach:
         self, rotations: Float[np.ndarray, "K 3 3"], positions: Float[np.ndarray, "K 3"]
     ) -> Int[np.ndarray, "K S"]:
         """Rows of the bank to start from."""
-        return self._tree.query(_features(rotations, positions), self.options.starts)[1]
+        return np.asarray(self._tree.query(_features(rotations, positions), self.options.starts)[1])
 
     def solve(
         self, rotations: Float[np.ndarray, "K 3 3"], positions: Float[np.ndarray, "K 3"]
