@@ -33,7 +33,18 @@ from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
 from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
 from regrasp_planner.stab_pose import StablePoses, stable_poses  # noqa: E402
 from regrasp_planner.stage_search import PlanOptions  # noqa: E402
-from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Segment, SegmentKind, Stage, StageKind, Strategy  # noqa: E402
+from regrasp_planner.stages import (  # noqa: E402
+    Failure,
+    Phase,
+    Plan,
+    PlanStats,
+    Reason,
+    Segment,
+    SegmentKind,
+    Stage,
+    StageKind,
+    Strategy,
+)
 from regrasp_planner.trajectory import Trajectory  # noqa: E402
 
 __all__ = [
@@ -46,6 +57,7 @@ __all__ = [
     "GraspGenOptions",
     "Gripper",
     "Obstacle",
+    "Phase",
     "Plan",
     "PlanOptions",
     "PlanStats",

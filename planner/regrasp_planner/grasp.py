@@ -53,7 +53,7 @@ class GraspGenOptions:
         quality_threshold: f_threshold of eq. (1).
         starts: where to start.
         max_axes: closing axes taken from the width function.
-        screened: starts evaluated at most in one search, before any are refined.
+        screened: starts evaluated in one search before any are refined; more where the first grasps are refused.
         budget: evaluations of one `GraspSearch` after which no more are begun.
         refined: starts refined at most in one search; a multiple of `BATCH`.
         max_evaluations: evaluations spent on one refined start, in `OUTER_ROUNDS` rounds of Algorithm 3.
@@ -66,7 +66,7 @@ class GraspGenOptions:
     quality_threshold: float = 1.85
     starts: StartKind = StartKind.CRITICAL
     max_axes: int = 12
-    screened: int = 24
+    screened: int = 16
     budget: int = 120
     refined: int = 4
     max_evaluations: int = 8

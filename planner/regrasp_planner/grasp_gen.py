@@ -38,13 +38,15 @@ BATCH = 4
 """Grasps evaluated, or refined, in one call of the compiled program."""
 OUTER_ROUNDS = 2
 """Rounds of Algorithm 3: grasps are refined, then the ground is tilted anew."""
-REACH_CHUNK = 64
+REACH_CHUNK = 32
 """Starts whose reachability is asked for at once."""
+PATIENCE = 3
+"""How many times as many starts are evaluated where there are grasps, but the arm can not make use of them."""
 VIOLATION = 0.01
 """Largest violation of a constraint that counts as none, in gripper openings."""
 
-Reachable = Callable[[Float[np.ndarray, "K 7"]], Bool[np.ndarray, " K"]]
-"""Which of K gripper poses in the target's frame the arm can take at all, obstacles aside."""
+Reachable = Callable[[Float[np.ndarray, "K 7"]], Int[np.ndarray, " K"]]
+"""How well the arm can take K gripper poses in the target's frame: 0 not at all, greater is better."""
 
 
 class Found(NamedTuple):
@@ -87,7 +89,7 @@ class GraspSearch:
         self._length = float(gripper.max_opening)
         self._margin = self.options.margin * self._length
         self._reachable = reachable
-        self._reached: dict[int, bool] = {}
+        self._reached: dict[int, int] = {}
         self._known: dict[int, Terms] = {}
         self._improved: list[tuple[Float[np.ndarray, " 7"], Terms]] = []
         self._contact_found = False
@@ -121,12 +123,14 @@ class GraspSearch:
         release, clear, _ = self._grounds(self._bodies, start, end)
         tried: list[int] = []
         if self.options.starts is StartKind.CRITICAL:
-            for batch in self._screened(clear):
+            refused: list[Grasp] = []
+            for batch in self._screened(clear, refused):
                 tried += batch
                 grasps = [self._grasp(self._starts.poses[i], self._known[i]) for i in batch]
                 found = [Found(grasp, release[i]) for i, grasp in zip(batch, grasps, strict=True) if grasp is not None]
                 if found := self._settling(found, end):
                     yield found
+                    refused += [each.grasp for each in found]
         if self._improved:
             poses = np.array([pose for pose, _ in self._improved])
             thetas = np.array([terms.closing[0] for _, terms in self._improved]) * self._length
@@ -135,19 +139,19 @@ class GraspSearch:
                 yield found
         yield from self._refined(self._promising(tried, clear), start, end)
 
-    def _screened(self, clear: Bool[np.ndarray, " K"]) -> Iterator[list[int]]:
+    def _screened(self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp]) -> Iterator[list[int]]:
         """Batches of evaluated starts: those known from other searches, then new ones as far as the budgets allow."""
         known = iter([int(i) for i in self._order if clear[i] and int(i) in self._known])
         while batch := list(islice(known, BATCH)):
             yield batch
-        unknown = (i for i in self._in_order(clear) if i not in self._known)
-        for _ in range(self.options.screened // BATCH):
-            if self.evaluations >= self.options.budget:
-                return
+        unknown = (i for i in self._in_order(clear, refused) if i not in self._known)
+        spent = 0
+        while spent < self.options.screened * (PATIENCE if refused else 1) and self.evaluations < self.options.budget:
             batch = list(islice(unknown, BATCH))
             if not batch:
                 return
             self._evaluate(batch)
+            spent += len(batch)
             yield batch
 
     def _cleared(
@@ -202,23 +206,35 @@ class GraspSearch:
         cost = overlap + np.maximum(0.0, wanted - starts.depths) - 0.1 * np.clip(gap, 0.0, 6 * self._margin)
         return np.argsort(cost + 0.03 * lever, kind="stable")
 
-    def _in_order(self, clear: Bool[np.ndarray, " K"]) -> Iterator[int]:
-        """Starts that clear the ground and that the arm reaches, such as differ from those before first."""
+    def _in_order(self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp]) -> Iterator[int]:
+        """Starts that clear the ground and that the arm reaches, unlike ones before alike ones.
+
+        First those that the arm can take freely, that differ from those before, and that do not hold the target as the
+        grasps do that were ``refused``.
+        """
         order = self._order[clear[self._order]]
         for begin in range(0, len(order), REACH_CHUNK):
             chunk = order[begin : begin + REACH_CHUNK]
-            chunk = chunk[self._within_reach(chunk)]
+            grades = self._grades(chunk)
             first, rest = _spread(self._starts.poses[chunk], 0.15 * self._length)
-            yield from (int(i) for i in chunk[first])
-            yield from (int(i) for i in chunk[rest])
+            waiting = sorted((k for k in (*first, *rest) if grades[k] > 0), key=lambda k: -grades[k])
+            while waiting:
+                at = next((k for k in waiting if not self._alike(int(chunk[k]), refused)), waiting[0])
+                waiting.remove(at)
+                yield int(chunk[at])
 
-    def _within_reach(self, chunk: Int[np.ndarray, " C"]) -> Bool[np.ndarray, " C"]:
+    def _alike(self, i: int, refused: Sequence[Grasp]) -> bool:
+        """Whether the start is turned by less than 30° against one of the grasps."""
+        turn = self._starts.poses[i, :4]
+        return any(abs(float(turn @ grasp.pose[:4])) > np.cos(np.radians(15)) for grasp in refused)
+
+    def _grades(self, chunk: Int[np.ndarray, " C"]) -> Int[np.ndarray, " C"]:
         if self._reachable is None:
-            return np.ones(len(chunk), bool)
+            return np.ones(len(chunk), int)
         if any(int(i) not in self._reached for i in chunk):
             answers = self._reachable(self._starts.poses[chunk])
-            self._reached |= {int(i): bool(answer) for i, answer in zip(chunk, answers, strict=True)}
-        return np.array([self._reached[int(i)] for i in chunk], bool)
+            self._reached |= {int(i): int(answer) for i, answer in zip(chunk, answers, strict=True)}
+        return np.array([self._reached[int(i)] for i in chunk])
 
     # --- evaluations --------------------------------------------------------------------------------------------------
 
@@ -325,7 +341,7 @@ class GraspSearch:
         }
         chosen = sorted(merit, key=lambda i: merit[i])[: self.options.refined]
         others = self._order[~clear[self._order]][:REACH_CHUNK]
-        others = others[self._within_reach(others)] if len(chosen) < self.options.refined else others[:0]
+        others = others[self._grades(others) > 0] if len(chosen) < self.options.refined else others[:0]
         return [*chosen, *(int(i) for i in others)][: self.options.refined]
 
     def _refined(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
 import jax
@@ -29,14 +29,14 @@ from regrasp_planner.collision import (
     pair_clearances,
 )
 from regrasp_planner.optim import ConstrainedResult, Euclidean, augmented_lagrangian
-from regrasp_planner.robot import Arm, Robot, forward_kinematics
+from regrasp_planner.robot import Arm, forward_kinematics
 
 POSITION_TOLERANCE = 1e-4
 ROTATION_TOLERANCE = 1e-3
 SLOTS, STARTS = 8, 32
 """Starts run in lanes of 8 slots × 32, whatever the number of targets, which share the slots evenly."""
-QUICK_TARGETS, QUICK_STARTS, QUICK_TOLERANCE = 64, 6, 5e-3
-"""Of `within_reach`: targets in a batch, starts for each, and the miss (metres) that passes."""
+QUICK_TARGETS, QUICK_STARTS, QUICK_ENOUGH, QUICK_TOLERANCE = 32, 12, 4, 5e-3
+"""Of `within_reach`: targets in a batch, starts for each, solutions looked at, and the miss (metres) that passes."""
 ENOUGH = 10
 FIRST_ITERATIONS = 24
 FULL_ITERATIONS = 60
@@ -181,28 +181,50 @@ def solve_ik(
     return [_result(arm, search, max_solutions) for search in searches]
 
 
-def within_reach(robot: Robot, targets: Float[np.ndarray, "K 7"], seed: int = 0) -> Bool[np.ndarray, " K"]:
-    """Which gripper poses the arm reaches within its limits, collisions aside; a quick look from a few starts.
+class Reachability(IntEnum):
+    """What a quick look says of a gripper pose; see `within_reach`."""
+
+    NONE = 0
+    """No configuration within the joint limits was found."""
+    BLOCKED = 1
+    """There are configurations, but in those looked at the arm hits something."""
+    FREE = 2
+    """There is a configuration in which the bodies of the model are clear."""
+
+
+def within_reach(model: CollisionModel, targets: Float[np.ndarray, "K 7"], seed: int = 0) -> Int[np.ndarray, " K"]:
+    """A quick look from a few starts at which gripper poses the arm can take.
 
     Args:
-        robot: the robot.
+        model: what may be hit; commonly without the gripper, whose collisions are for the evaluation of grasps.
         targets: (K, 7) poses of the gripper frame in the world.
         seed: of the random starts.
+
+    Returns:
+        (K,) `Reachability` of each.
     """
-    arm, count = robot.arm, len(targets)
+    robot, count = model.arrays.robot, len(targets)
+    arm, home = robot.arm, np.asarray(robot.home, float)
     low, high = np.asarray(arm.lower, float), np.asarray(arm.upper, float)
     starts = np.random.default_rng(seed).uniform(low, high, (QUICK_TARGETS, QUICK_STARTS, arm.dof))
-    starts[:, 0] = np.asarray(robot.home)
-    found = np.zeros(count, bool)
+    starts[:, 0] = home
+    grades = np.full(count, int(Reachability.NONE))
     for begin in range(0, count, QUICK_TARGETS):
         chosen = np.arange(begin, min(begin + QUICK_TARGETS, count))
-        some = targets[np.resize(chosen, QUICK_TARGETS)]
-        lanes = _Lanes(
-            *map(np.asarray, reach(arm, jnp.asarray(some), jnp.asarray(starts), jnp.asarray(1), jnp.asarray(24)))
-        )
-        miss = lanes.miss().reshape(QUICK_TARGETS, QUICK_STARTS).min(axis=1)
-        found[chosen] = miss[: len(chosen)] < QUICK_TOLERANCE
-    return found
+        some = jnp.asarray(targets[np.resize(chosen, QUICK_TARGETS)])
+        ends = reach(arm, some, jnp.asarray(starts), jnp.asarray(QUICK_ENOUGH), jnp.asarray(FIRST_ITERATIONS))
+        lanes = _Lanes(*map(np.asarray, ends))
+        solved = (lanes.miss() < QUICK_TOLERANCE).reshape(QUICK_TARGETS, QUICK_STARTS)[: len(chosen)]
+        q = lanes.q.reshape(QUICK_TARGETS, QUICK_STARTS, -1)[: len(chosen)]
+        grades[chosen[solved.any(axis=1)]] = Reachability.BLOCKED
+        # Those nearest to home first.
+        order = np.where(solved, np.linalg.norm((q - home) / (high - low), axis=2), np.inf).argsort(axis=1)
+        for rank in range(QUICK_ENOUGH):
+            rows = np.flatnonzero((grades[chosen] == Reachability.BLOCKED) & (solved.sum(axis=1) > rank))
+            if len(rows):
+                clearance = configuration_clearance(model, q[rows, order[rows, rank]], 0.0, cap=0.0)
+                grades[chosen[rows[clearance.value >= 0]]] = Reachability.FREE
+    return grades
 
 
 def _groups(searches: list[_Search]) -> list[list[_Search]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from regrasp_planner.errors import StrategyError
 from regrasp_planner.grasp import Grasp
@@ -12,7 +12,7 @@ from regrasp_planner.robot import Robot
 from regrasp_planner.sampling import sample_grasps
 from regrasp_planner.scene import Task
 from regrasp_planner.stage_search import PlanOptions, StageSearch, furthest
-from regrasp_planner.stages import Failure, Plan, PlanStats, Reason, Stage, StageKind, Strategy
+from regrasp_planner.stages import Failure, Phase, Plan, PlanStats, Reason, Stage, StageKind, Strategy
 from regrasp_planner.task_check import check_task
 
 SAMPLED_BATCH = 16
@@ -53,36 +53,49 @@ def plan(
     except ValueError as error:
         return Plan(False, Failure(Reason.BAD_INPUT, "", "", str(error)), (), strategy, PlanStats(), seed)
     stages = StageSearch(task, robot, seed, options or PlanOptions())
-    outcome = _stages(stages, strategy, known_grasps)
+    phases: list[Phase] = []
+    outcome: tuple[Stage, ...] | Failure | None = None
+    for phase, attempt in _attempts(stages, strategy, known_grasps):
+        found = attempt()
+        outcome = _better(outcome, found) if isinstance(outcome, Failure) else found
+        failure = outcome if isinstance(outcome, Failure) else None
+        phases.append(Phase(phase, failure, *stages.counts(), time.perf_counter() - began))
+        if failure is None or failure.reason is Reason.TOO_WIDE:
+            break
     seconds = {**stages.clock.seconds, "total": time.perf_counter() - began}
-    stats = PlanStats(
-        stages.sampled + sum(search.evaluations for search in stages.searches),
-        sum(search.ordered for search in stages.searches),
-        seconds,
-    )
+    stats = PlanStats(*stages.counts(), seconds, tuple(phases))
     if isinstance(outcome, Failure):
         return Plan(False, outcome, (), strategy, stats, seed)
+    assert outcome is not None
     return Plan(True, None, outcome, strategy, stats, seed)
 
 
-def _stages(stages: StageSearch, strategy: Strategy, known_grasps: Sequence[Grasp]) -> tuple[Stage, ...] | Failure:
-    """What the strategy allows, the cheapest first."""
-    outcome: tuple[Stage, ...] | Failure | None = None
-    if known_grasps:
-        outcome = _one_grasp(stages, iter([known_grasps]))
-    if outcome is None or isinstance(outcome, Failure):
-        outcome = _sampled(stages) if strategy is Strategy.SAMPLING else _direct(stages)
-    if strategy in (Strategy.DIRECT, Strategy.SAMPLING):
-        return outcome
-    if not isinstance(outcome, Failure) or outcome.reason is Reason.TOO_WIDE:
-        return outcome
+_Attempt = Callable[[], tuple[Stage, ...] | Failure]
+
+
+def _attempts(
+    stages: StageSearch, strategy: Strategy, known_grasps: Sequence[Grasp]
+) -> Iterator[tuple[Strategy, _Attempt]]:
+    """What to try in turn, the cheapest first, each with the strategy that goes so far."""
+    if strategy is Strategy.SAMPLING:
+        yield strategy, lambda: _known(stages, known_grasps) or _sampled(stages)
+        return
+    yield Strategy.DIRECT, lambda: _known(stages, known_grasps) or _direct(stages)
+    if strategy is Strategy.DIRECT:
+        return
     regrasps = RegraspSearch(stages)
-    outcome = regrasps.once(tilted=False)
-    if isinstance(outcome, Failure) and strategy is not Strategy.STATIC:
-        outcome = _better(outcome, regrasps.once(tilted=True))
-    if isinstance(outcome, Failure) and strategy is Strategy.REPEATED:
-        outcome = _better(outcome, regrasps.repeated())
-    return outcome
+    yield Strategy.STATIC, lambda: regrasps.once(tilted=False)
+    if strategy is Strategy.STATIC:
+        return
+    yield Strategy.NONSTATIC, lambda: regrasps.once(tilted=True)
+    if strategy is Strategy.REPEATED:
+        yield Strategy.REPEATED, regrasps.repeated
+
+
+def _known(stages: StageSearch, grasps: Sequence[Grasp]) -> tuple[Stage, ...] | None:
+    """One stage by one of the grasps that are known already."""
+    outcome = _one_grasp(stages, iter([grasps])) if grasps else None
+    return None if isinstance(outcome, Failure) else outcome
 
 
 def _better(failure: Failure, outcome: tuple[Stage, ...] | Failure) -> tuple[Stage, ...] | Failure:

@@ -46,7 +46,7 @@ class MotionOptions:
         path: options of the path planner.
     """
 
-    approach: tuple[float, ...] = (0.10, 0.06)
+    approach: tuple[float, ...] = (0.10, 0.06, 0.035)
     lift: tuple[float, ...] = (0.08, 0.03)
     lower: tuple[float, ...] = (0.04, 0.015)
     margin_world: float = 0.003
@@ -103,6 +103,16 @@ class Surroundings:
         if key not in self._models:
             self._models[key] = self._full.moved("held", wxyz_xyz(rigid(grasp.pose).inv()))
         return self._models[key]
+
+    @cached_property
+    def arm_alone(self) -> CollisionModel:
+        """The arm without its gripper among the obstacles."""
+        return collision_model(
+            self.robot,
+            self.obstacles,
+            margin_world=self.options.margin_world,
+            overrides={("gripper", "world"): None},
+        )
 
     @cached_property
     def _empty(self) -> CollisionModel:

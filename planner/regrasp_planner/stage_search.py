@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from regrasp_planner.grasp import Grasp, GraspGenOptions
 from regrasp_planner.grasp_gen import Found, GraspSearch
@@ -95,11 +95,12 @@ class StageSearch:
     def search(self, *scenes: Scene) -> GraspSearch:
         """A search for grasps that are feasible in all the scenes and that the arm reaches there, obstacles aside."""
         poses = [rigid(scene.target_pose) for scene in scenes]
+        arm = self.surroundings.arm_alone
 
-        def reachable(grippers: Float[np.ndarray, "K 7"]) -> Bool[np.ndarray, " K"]:
+        def reachable(grippers: Float[np.ndarray, "K 7"]) -> Int[np.ndarray, " K"]:
             local = rigid(grippers)
-            answers = [within_reach(self.robot, wxyz_xyz(pose * local), self.seed) for pose in poses]
-            return np.logical_and.reduce(answers) if answers else np.ones(len(grippers), bool)
+            looks = [within_reach(arm, wxyz_xyz(pose * local), self.seed) for pose in poses]
+            return np.minimum.reduce(looks)
 
         made = GraspSearch(
             self.task.target, scenes, self.robot.gripper, self.options.grasp, reachable if scenes else None, self.seed
@@ -111,6 +112,11 @@ class StageSearch:
         """The same batches, the time they take counted as GraspGen's."""
         while (batch := self.clock.time("grasp_gen", lambda: next(batches, None))) is not None:
             yield batch
+
+    def counts(self) -> tuple[int, int]:
+        """Grasps evaluated, and starts put in order, so far."""
+        evaluated = self.sampled + sum(search.evaluations for search in self.searches)
+        return evaluated, sum(search.ordered for search in self.searches)
 
     # --- one grasp ----------------------------------------------------------------------------------------------------
 

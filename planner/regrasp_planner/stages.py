@@ -150,6 +150,24 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Phase:
+    """How far planning had come when all that one strategy allows was tried: a plan by that strategy costs just this.
+
+    Attributes:
+        strategy: the strategy.
+        failure: why it has no plan; None if it has the one that was found.
+        eval_grasp_calls, ordered_starts: as in `PlanStats`, up to then.
+        seconds: since planning began.
+    """
+
+    strategy: Strategy
+    failure: Failure | None
+    eval_grasp_calls: int
+    ordered_starts: int
+    seconds: float
+
+
+@dataclass(frozen=True)
 class PlanStats:
     """What a plan cost.
 
@@ -157,11 +175,14 @@ class PlanStats:
         eval_grasp_calls: evaluated grasps, each member of a batch counted (Table IV).
         ordered_starts: start grasps put in order by bounding boxes, which evaluates none of them.
         seconds: wall-clock seconds by module ("grasp_gen", "stab_pose", "ik_solve", "path_plan", "total").
+        phases: what the strategies tried in turn came to, from the least far-reaching to the one that was asked for or
+            that found the plan. Strategies contain one another, so that it is the same as planning by each.
     """
 
     eval_grasp_calls: int = 0
     ordered_starts: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    phases: tuple[Phase, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from regrasp_gym.benchmark.trials import Record, crashes, run_trials, write_repo
 
 if TYPE_CHECKING:
     from regrasp_gym.expert import PlannerExpert
+    from regrasp_planner import Phase
 
 
 def episodes(
@@ -75,8 +76,21 @@ def plan_episode(env: gymnasium.Env, expert: PlannerExpert, seed: int) -> Record
         "seconds": expert.plan.stats.seconds,
         "eval_grasp_calls": expert.plan.stats.eval_grasp_calls,
         "ordered_starts": expert.plan.stats.ordered_starts,
+        "phases": [_phase(phase) for phase in expert.plan.stats.phases],
         "cause": "" if expert.failure is None else str(expert.failure.reason),
         "detail": str(expert.failure or ""),
+    }
+
+
+def _phase(phase: Phase) -> Record:
+    return {
+        "strategy": str(phase.strategy),
+        "planned": phase.failure is None,
+        "planning_seconds": phase.seconds,
+        "eval_grasp_calls": phase.eval_grasp_calls,
+        "ordered_starts": phase.ordered_starts,
+        "cause": "" if phase.failure is None else str(phase.failure.reason),
+        "detail": str(phase.failure or ""),
     }
 
 

@@ -143,7 +143,7 @@ def summarise(scenario: Scenario, strategy: Strategy, episodes: Sequence[Record]
         summary |= {
             "executed": len(succeeded),
             "executed_share_95": wilson(len(succeeded), len(planned)),
-            "taken_over": sum(bool(record["taken_over_from"]) for record in planned),
+            "taken_over": sum(bool(record["taken_over_from"]) for record in ended),
             "execution_failures": _causes(failed),
             "failed_in_execution": [record["trial"] for record in failed],
         }
@@ -184,12 +184,12 @@ def _campaign(
         raise BenchError(f"scenario {scenario!r} needs the environment {env}, which is not there yet; use {there}")
     seeds = range(first_seed, first_seed + trials)
     rows: list[Record] = []
-    # In the order of the tables: a plan that an earlier strategy has executed already need not be executed again.
-    for strategy in sorted(set(strategies), key=STRATEGIES.index):
+    # The most far-reaching one first: what it came to on the way is what the others come to.
+    for strategy in sorted(set(strategies), key=STRATEGIES.index, reverse=True):
         setting: Record = {"env": env, "strategy": strategy, "execute": execute, "version": version("regrasp-gym")}
         prepare = partial(_prepare, records)
         episodes = run_trials(setting, seeds, prepare, workers=workers, records=records, label=strategy)
-        rows.append(summarise(scenario, strategy, episodes, execute))
+        rows.insert(0, summarise(scenario, strategy, episodes, execute))
     return {
         "scenario": scenario,
         "env": env,
@@ -207,36 +207,66 @@ def _prepare(records: Path, setting: Record) -> Callable[[int], Record]:
         raise BenchError(f"the planner has no strategy {setting['strategy']!r}; it has {known}")
     env = gymnasium.make(setting["env"])
     expert = regrasp_gym.PlannerExpert(env, setting["strategy"])
-    done = _executed(read_records(records), setting)
+    others = _of_other_strategies(read_records(records), setting)
 
     def run(seed: int) -> Record:
+        part = next((part for whole in others if whole["trial"] == seed and (part := _part_of(whole, setting))), None)
+        if part is not None:
+            return part
         record = plan_episode(env, expert, seed)
         if not (setting["execute"] and record["planned"]):
-            return record
+            return record | {"taken_over_from": ""}
         record["fingerprint"] = fingerprint(expert.plan)
-        earlier = done.get((seed, record["fingerprint"]))
-        if earlier is None:
-            return record | execute_episode(env, expert) | {"taken_over_from": ""}
-        same = {key: earlier[key] for key in ("success", "steps", "plans", "cause", "detail")}
-        return record | same | {"taken_over_from": earlier["setting"]["strategy"]}
+        for other in others:
+            if other["trial"] == seed and other.get("fingerprint") == record["fingerprint"] and _as_planned(other):
+                same = {key: other[key] for key in ("success", "steps", "plans", "cause", "detail")}
+                return record | same | {"taken_over_from": other["setting"]["strategy"]}
+        return record | execute_episode(env, expert) | {"taken_over_from": ""}
 
     return run
 
 
-def _executed(records: Sequence[Record], setting: Record) -> dict[tuple[int, str], Record]:
-    """Episodes of other strategies in which a plan was carried out as planned, by seed and plan.
+def _of_other_strategies(records: Sequence[Record], setting: Record) -> list[Record]:
+    """Records of the same campaign by other strategies."""
+    common = {key: value for key, value in setting.items() if key != "strategy"}
+    return [
+        record
+        for record in records
+        if "crashed" not in record
+        and record["setting"]["strategy"] != setting["strategy"]
+        and common == {key: value for key, value in record["setting"].items() if key != "strategy"}
+    ]
+
+
+def _as_planned(record: Record) -> bool:
+    """Whether a plan was carried out without a hitch.
 
     One plan is made before the first stage and one after each but the last. An episode with more has seen something go
     wrong, and what was planned then depends on the strategy.
     """
-    common = {key: value for key, value in setting.items() if key != "strategy"}
-    return {
-        (record["trial"], record["fingerprint"]): record
-        for record in records
-        if record.get("success")
-        and record["plans"] == len(record["stages"])
-        and common == {key: value for key, value in record["setting"].items() if key != "strategy"}
-    }
+    return bool(record.get("success")) and record["plans"] == len(record["stages"])
+
+
+def _part_of(whole: Record, setting: Record) -> Record | None:
+    """What a strategy comes to in a trial of one that contains it: both plan alike, as far as the lesser one goes.
+
+    None where that can not be told from the record.
+    """
+    order = [phase["strategy"] for phase in whole["phases"]]
+    asked, contains = setting["strategy"], STRATEGIES.index(whole["setting"]["strategy"])
+    if "sampling" in (asked, *order) or STRATEGIES.index(asked) > contains:
+        return None
+    # The plan may have been found by a still lesser strategy.
+    phase = whole["phases"][order.index(asked)] if asked in order else whole["phases"][-1]
+    if phase["planned"] and setting["execute"] and not _as_planned(whole):
+        return None
+    outcome = {key: phase[key] for key in ("planned", "planning_seconds", "eval_grasp_calls", "ordered_starts")}
+    if phase["planned"]:
+        own = {key: value for key, value in whole.items() if key not in ("setting", "trial")}
+        return own | outcome | {"taken_over_from": whole["setting"]["strategy"]}
+    kept = {key: whole[key] for key in ("seed", "target", "phases")}
+    reason = {"stages": [], "seconds": {}, "cause": phase["cause"], "detail": phase["detail"]}
+    return kept | outcome | reason | {"taken_over_from": whole["setting"]["strategy"]}
 
 
 def _causes(failed: Sequence[Record]) -> dict[str, int]:

@@ -135,6 +135,18 @@ def test_both_tables_of_two_scenes(tmp_path: Path, capsys: pytest.CaptureFixture
     assert report["versions"]["mujoco"]
     assert plot_file.stat().st_size > 5000
 
+    # A lesser strategy's row is the same if it is read off a greater one's.
+    other = tmp_path / "other.jsonl"
+    table3(trials=SEEDS, strategies=("direct", "repeated"), execute=False, records=other)
+    capsys.readouterr()
+    for record in read_records(other):
+        if record["setting"]["strategy"] == "direct":
+            alone = by["direct", record["trial"]]
+            assert record["taken_over_from"] == "repeated"
+            assert record["planned"] == alone["planned"]
+            assert record["eval_grasp_calls"] == alone["eval_grasp_calls"]
+            assert record["cause"] == (alone["cause"] if not alone["planned"] else "")
+
     json_file, plot_file = tmp_path / "t4.json", tmp_path / "t4.png"
     table4(trials=SEEDS, strategies=("direct", "static"), records=records, json_file=json_file, plot_file=plot_file)
     assert "Table IV" in capsys.readouterr().out
