@@ -74,7 +74,7 @@ class PandaYCBEnv(RegraspEnv):
     places: then the target has to be put down on the free patch of table in between, and taken again another way.
 
     **Randomizations.** From the scene's seed: which object is the target (boxes, cans and bottles of the YCB set);
-    which 2–4 objects lie around it and which 2–3 stand on the shelf; the resting pose of everything on the table
+    which 3–5 objects lie around it and which 2–3 stand on the shelf; the resting pose of everything on the table
     (drawn by the probability that a dropped object lands in it, the target's among those in which the gripper fits
     over it), positions and turns. `TableShelfConfig` holds the ranges. The robot always starts in its ready
     configuration with the gripper open.
@@ -83,7 +83,8 @@ class PandaYCBEnv(RegraspEnv):
     something else than the gripper supports it, and the gripper does not touch it. ``info["is_success"]`` says so for
     the present step; it can turn false again if the target is touched or moved.
 
-    **Goal.** A pose of the target: upright, turned at random, on the shelf's board.
+    **Goal.** A pose of the target: upright on the shelf's board, its narrow sides within 29° of where they are to the
+    left and right of a gripper that comes straight from the front.
 
     ## Action Space
 

@@ -60,12 +60,16 @@ def test_different_seeds_differ():
 
 
 def test_every_seed_gives_a_scene_with_enough_clutter():
+    crowded = 0
     for seed in range(600):
         scene = make_scene(seed)
-        assert 2 <= len(scene.table_objects) <= 4
-        assert 2 <= len(scene.shelf_objects) <= 3
+        assert 2 <= len(scene.table_objects) <= CONFIG.table_clutter[1]
+        assert CONFIG.shelf_clutter[0] <= len(scene.shelf_objects) <= CONFIG.shelf_clutter[1]
+        # Rarely there is no room for the least number on the table.
+        crowded += len(scene.table_objects) < CONFIG.table_clutter[0]
         names = [scene.target.name, *(thing.name for thing in scene.others)]
         assert len(set(names)) == len(names)
+    assert crowded <= 6
 
 
 def test_every_target_comes_up():
@@ -133,6 +137,35 @@ def test_goal_is_near_the_opening_and_the_opening_faces_the_base():
         assert CONFIG.goal_depth[0] - 1e-9 <= to_edge <= CONFIG.goal_depth[1] + 1e-9
         back = next(fixture for fixture in scene.fixtures if fixture.name == "shelf_back")
         assert np.linalg.norm(back.pose[4:6]) > np.linalg.norm(center)
+
+
+def test_goal_has_its_narrow_sides_beside_the_gripper_and_keeps_off_the_walls():
+    inward = np.array(CONFIG.shelf_center) / np.linalg.norm(CONFIG.shelf_center)
+    across = np.array([-inward[1], inward[0]])
+    turns = []
+    for seed in range(200):
+        scene = make_scene(seed)
+        points = world_vertices(scene.target.model, scene.goal_pose)[:, :2]
+        side = (points - np.array(CONFIG.shelf_center)) @ across
+        assert np.abs(side).max() <= CONFIG.shelf_inside[0] / 2 - CONFIG.goal_wall_gap + 1e-9
+        # Some level direction near the opening's is as narrow as the target gets.
+        angles = np.linspace(-CONFIG.goal_yaw, CONFIG.goal_yaw, 401)
+        fan = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * inward
+        widths = np.ptp(points @ fan.T, axis=0)
+        upright = upright_pose(scene.target.model)
+        assert upright is not None
+        assert widths.min() == pytest.approx(upright.level_width, abs=2e-4)
+        if scene.target.name == "003_cracker_box":
+            turns.append(angles[widths.argmin()])
+    assert min(turns) < -0.2
+    assert max(turns) > 0.2
+
+
+def test_the_shelf_does_not_depend_on_the_table():
+    for seed in range(20):
+        one, other = make_scene(seed), make_scene(seed, TableShelfConfig(pick_gap=0.03))
+        assert one.target.name == other.target.name
+        np.testing.assert_array_equal(one.goal_pose, other.goal_pose)
 
 
 def test_scenes_are_made_fast():
