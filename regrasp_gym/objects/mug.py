@@ -19,7 +19,7 @@ _GLAZE = (0.62, 0.09, 0.1, 1.0)
 _INSIDE = (0.93, 0.9, 0.86, 1.0)
 
 # Corners (x, z) of the handle's outline, inner and outer, from the upper end on the wall round to the lower one.
-_INNER_LINE = ((0.0, 60.0), (12.0, 60.0), (17.5, 54.5), (17.5, 29.5), (12.0, 24.0), (0.0, 24.0))
+_INNER_LINE = ((0.0, 58.0), (9.5, 58.0), (14.3, 53.0), (14.3, 31.0), (9.5, 26.0), (0.0, 26.0))
 _OUTER_LINE = ((0.0, 68.0), (15.3, 68.0), (24.5, 58.5), (24.5, 25.5), (15.3, 16.0), (0.0, 16.0))
 
 
@@ -35,7 +35,7 @@ def mug() -> ObjectModel:
     line = 0.5 * (np.array(_INNER_LINE) + np.array(_OUTER_LINE))
     line[[0, -1], 0] = -1.5
     path = np.column_stack([line[:, 0] + face, np.zeros(len(line)), line[:, 1]])
-    thick = np.column_stack([np.full(len(path), _HALF_WIDTH), np.full(len(path), 3.8)])
+    thick = np.column_stack([np.full(len(path), _HALF_WIDTH), np.full(len(path), 5.0)])
     handle = sweep(path, thick, np.array([0.0, 1.0, 0.0]), squareness=2.6, sides=16, ends=(False, False))
     shell = joined([outside, handle]).painted(_GLAZE, 0.6, 0.7)
     return solid(

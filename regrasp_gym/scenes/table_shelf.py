@@ -16,6 +16,7 @@ from jaxtyping import Float
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.ycb import OBJECTS
+from regrasp_gym.scenes.parts import over_a_part
 from regrasp_gym.scenes.resting import RestingPose, least_width, resting_poses, upright_pose
 from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
 
@@ -163,9 +164,12 @@ class TableShelfScene:
 
 
 def check_target(model: ObjectModel, config: TableShelfConfig) -> None:
-    """Raise `SceneError` if the object can not be a target: too wide for the gripper, or it does not stand upright."""
+    """Raise `SceneError` if the object can not be a target: too wide for the gripper, or it does not stand upright.
+
+    A hollow object may be wider than the gripper opens, if the gripper can take it by a part such as its rim.
+    """
     width, limit = least_width(model), config.max_opening - config.opening_margin
-    if width > limit:
+    if width > limit and not any(over_a_part(model, pose, limit) for pose in resting_poses(model)):
         raise SceneError(
             f"target {model.name!r} is {1e3 * width:.0f} mm wide where it is thinnest; "
             f"the gripper takes at most {1e3 * limit:.0f} mm"
@@ -173,7 +177,7 @@ def check_target(model: ObjectModel, config: TableShelfConfig) -> None:
     upright = upright_pose(model)
     if upright is None:
         raise SceneError(f"target {model.name!r} does not stand upright by itself; choose one that does")
-    if upright.level_width > limit:
+    if upright.level_width > limit and not over_a_part(model, upright, limit):
         raise SceneError(
             f"target {model.name!r} is {1e3 * upright.level_width:.0f} mm wide where it is thinnest as it stands "
             f"upright; the gripper takes at most {1e3 * limit:.0f} mm"
@@ -295,6 +299,7 @@ def _place_target(rng: np.random.Generator, model: ObjectModel, area: _Area, con
     # As it lies, the gripper has to fit over it: an object flat on its largest face can not be taken by any plan.
     limit = config.max_opening - config.opening_margin
     poses = [pose for pose in resting_poses(model) if pose.level_width <= limit]
+    poses = poses or [pose for pose in resting_poses(model) if over_a_part(model, pose, limit)]
     resting = _draw_resting(rng, poses, config.landing_weight)
     draws = area.draw(rng, resting)
     draws.inside &= np.linalg.norm(area.center + draws.positions, axis=1) <= config.pick_reach
