@@ -58,8 +58,8 @@ class Candidates:
 
     Attributes:
         rotations, positions: (N, 3, 3) and (N, 3) gripper frames in the target's frame.
-        thetas: (N,) finger coordinate at which both pads touch: exact on flat sides, and too small by up to 3 mm on
-            slanting ones, where the point that touches first may lie between those of the cloud.
+        thetas: (N,) finger coordinate at which both pads touch: exact on flat sides, and too small by up to some 3 mm
+            on slanting ones, where the point that touches first may lie between those of the cloud.
         openings: (N,) finger coordinate of the open gripper.
     """
 
