@@ -1,4 +1,4 @@
-"""``regrasp-bench``: measure the planner and the expert; each name is one table."""
+"""``regrasp-bench``: measure the planner and the expert, or draw it; each name is one table, or all pictures."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from regrasp_gym.benchmark.releases import releases
 from regrasp_gym.benchmark.stable_poses import stable_poses
 from regrasp_gym.benchmark.table3 import table3, table4
 from regrasp_gym.errors import EnvError
+from regrasp_gym.pictures.command import pictures
 
 
 def main() -> None:
@@ -29,6 +30,7 @@ def main() -> None:
         "ik": ik,
         "modules": modules,
         "path": path,
+        "pictures": pictures,
         "releases": releases,
         "stable-poses": stable_poses,
         "table3": table3,

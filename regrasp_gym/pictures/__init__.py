@@ -1,0 +1,1 @@
+"""Pictures that explain the method, made by ``regrasp-bench pictures``."""
