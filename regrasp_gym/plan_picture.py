@@ -11,6 +11,7 @@ import imageio.v2 as imageio
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
+from scipy.spatial.transform import Rotation
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.expert import PlannerExpert
@@ -67,6 +68,18 @@ def save_execution(env: RegraspEnv, expert: PlannerExpert, path: Path, *, camera
     return env.is_success
 
 
+def release_tilt(stage: Stage) -> float:
+    """Angle between the target as it is let go and as it settles, seen against the vertical, radians.
+
+    Zero for a static release.
+    """
+    up = [
+        Rotation.from_quat(pose[:4], scalar_first=True).inv().apply([0.0, 0.0, 1.0])
+        for pose in (stage.release_pose, stage.settled_pose)
+    ]
+    return float(np.arctan2(np.linalg.norm(np.cross(up[0], up[1])), up[0] @ up[1]))
+
+
 @dataclass(frozen=True)
 class _Moment:
     """The robot at a turning point, and the target: standing at a pose, or in the hand."""
@@ -89,7 +102,9 @@ def _turning_points(stage: Stage, number: int) -> Iterator[_Moment]:
             case SegmentKind.TRANSFER:
                 yield _Moment(f"{number}. carry", moving.at(0.5 * moving.duration), theta, stage.grasp)
             case SegmentKind.OPEN:
-                yield _Moment(f"{number}. let go", moving.goal, theta, stage.release_pose)
+                tilt = np.rad2deg(release_tilt(stage))
+                words = f"let go, {tilt:.0f}° tilted" if tilt >= 1 else "let go"
+                yield _Moment(f"{number}. {words}", moving.goal, theta, stage.release_pose)
             case SegmentKind.RETREAT:
                 yield _Moment(f"{number}. retreat", moving.goal, theta, stage.settled_pose)
             case _:

@@ -6,11 +6,13 @@ import gc
 import json
 import sys
 from dataclasses import asdict, dataclass
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -30,8 +32,9 @@ class PlanCommand:
     """Id of the environment."""
     seed: int = 0
     """Seed of the scene."""
-    strategy: str = "static"
-    """How far the planner may go: direct (one grasp) or static (a regrasp in between)."""
+    strategy: str = "repeated"
+    """How far the planner may go: direct (one grasp), static (a regrasp in between, put down in a stable pose),
+    nonstatic (let go tilted where needed), repeated (as many regrasps as needed), or sampling (the baseline)."""
     planner_seed: int = 0
     """Seed of the planner."""
     render: Path | None = None
@@ -111,6 +114,7 @@ def describe(plan: Any) -> dict[str, Any]:
                 "quality": stage.grasp.quality,
                 "start_pose": [float(v) for v in stage.start_pose],
                 "release_pose": [float(v) for v in stage.release_pose],
+                "settled_pose": [float(v) for v in stage.settled_pose],
                 "duration": _duration(stage),
             }
             for stage in plan.stages
@@ -123,12 +127,19 @@ def _duration(stage: Any) -> float:
 
 
 def _table(plan: Any) -> Table:
-    table = Table("stage", "from (m)", "to (m)", "fingers (mm)", "quality", "clearance (mm)", "motion (s)")
+    from regrasp_gym.plan_picture import release_tilt
+
+    # Narrow enough for a terminal of 80 columns.
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("stage", no_wrap=True)
+    table.add_column("let go at\n(m)", no_wrap=True)
+    for name in ("tilt\n(°)", "width\n(mm)", "grasp\nquality", "gap\n(mm)", "time\n(s)"):
+        table.add_column(name, justify="right")
     for stage in plan.stages:
         table.add_row(
             str(stage.kind),
-            _position(stage.start_pose),
             _position(stage.release_pose),
+            f"{degrees(release_tilt(stage)):.0f}",
             f"{2e3 * stage.grasp.theta:.1f}",
             f"{stage.grasp.quality:.3f}",
             f"{1e3 * stage.grasp.clearance:.1f}",

@@ -8,15 +8,15 @@ import gymnasium
 import mujoco
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 import regrasp_gym
 from regrasp_gym.envs.base import EnvState, RegraspEnv
 from regrasp_gym.errors import EnvError
 from regrasp_gym.expert import PlannerExpert
 from regrasp_gym.pictures.studio import SHADOW_SIZE, Picture, captioned, reduced, side_by_side
+from regrasp_gym.plan_picture import release_tilt
 from regrasp_gym.rendering import Camera, SceneRenderer
-from regrasp_planner import SegmentKind, Stage
+from regrasp_planner import SegmentKind
 
 TILTED = np.deg2rad(10)
 """A release by more than this off the pose that the target settles into is worth a picture."""
@@ -59,7 +59,7 @@ def execution_picture(
             env.reset(seed=trial)
             if not expert.reset() or len(expert.plan.stages) < 2:
                 continue
-            if seed is None and tilt(expert.plan.stages[0]) < TILTED:
+            if seed is None and release_tilt(expert.plan.stages[0]) < TILTED:
                 continue
             steps = _run(expert)
             stages = 1 + max(step.stage for step in steps)
@@ -68,15 +68,6 @@ def execution_picture(
         raise EnvError(f"no successful episode with one regrasp in {env_id}, seed {seed}; try another seed")
     finally:
         env.close()
-
-
-def tilt(stage: Stage) -> float:
-    """Angle between the target as it is let go and as it settles, seen against the vertical, radians."""
-    up = [
-        Rotation.from_quat(pose[:4], scalar_first=True).inv().apply([0.0, 0.0, 1.0])
-        for pose in (stage.release_pose, stage.settled_pose)
-    ]
-    return float(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0)))
 
 
 def _run(expert: PlannerExpert) -> list[_Step]:
@@ -89,7 +80,7 @@ def _run(expert: PlannerExpert) -> list[_Step]:
 
 
 def _strip(expert: PlannerExpert, steps: list[_Step], camera: str, height: int, width: int) -> Picture:
-    angle = np.degrees(tilt(expert.plan.stages[0]))
+    angle = np.degrees(release_tilt(expert.plan.stages[0]))
     released = f"let go, tilted by {angle:.0f}°" if angle > np.degrees(TILTED) else "let go"
     moments = [
         ("at first", steps[0]),

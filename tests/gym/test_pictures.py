@@ -21,9 +21,10 @@ from regrasp_gym.objects.shapes import box
 from regrasp_gym.pictures import studio
 from regrasp_gym.pictures.basins import basins_picture
 from regrasp_gym.pictures.command import pictures
-from regrasp_gym.pictures.execution import execution_picture, tilt
+from regrasp_gym.pictures.execution import execution_picture
 from regrasp_gym.pictures.poses import poses_picture
 from regrasp_gym.pictures.union import _cut, gripper_looks, union_picture
+from regrasp_gym.plan_picture import release_tilt
 from regrasp_gym.rendering import Camera
 from regrasp_gym.scenes.scene import Fixture
 from regrasp_planner import Grasp, Stage, StageKind
@@ -120,7 +121,7 @@ def test_tilt_is_the_angle_to_the_ground_and_no_turn_about_the_vertical() -> Non
         release = np.append(turn.as_quat(scalar_first=True), np.zeros(3))
         grasp = Grasp(settled, 0.01, 0.02, 2.0, 0.01)
         stage = Stage(StageKind.PICK_TO_RELEASE, grasp, settled, release, settled, ())
-        assert tilt(stage) == pytest.approx(expected, abs=1e-6)
+        assert release_tilt(stage) == pytest.approx(expected, abs=1e-6)
 
 
 def colours(picture: np.ndarray) -> int:
