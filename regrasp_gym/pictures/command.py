@@ -22,7 +22,7 @@ def pictures(
     execution_seed: int | None = None,
     thing: str = "stone",
 ) -> None:
-    """Draw the pictures that explain the method, as PNG files.
+    """Draw the pictures that explain the method, as PNG files; execution as JPEG.
 
     union: pick and place scene, and both about the target with the grasps found. basins: start directions by the pose
     they settle into, and the cones inscribed in these basins. poses: stable poses of several objects with their cones.
@@ -57,6 +57,6 @@ def pictures(
     console = Console()
     for name in names:
         with console.status(f"drawing {name}"):
-            file = folder / f"{name}.png"
+            file = folder / (f"{name}.jpg" if name == "execution" else f"{name}.png")
             studio.save(draw[name](), file)
         console.print(f"Wrote {file} ({file.stat().st_size // 1000} kB)", markup=False, highlight=False)

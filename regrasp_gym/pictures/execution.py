@@ -112,8 +112,8 @@ def _pictures(env: RegraspEnv, steps: list[_Step], camera: str, height: int, wid
         env.set_state(step.state)
         large = renderer.render(model, env.world.data, camera, 2 * width, 2 * height, show_goal=True)
         picture = reduced(large, height, width).copy()
-        picture[-near - 4 :, : near + 4] = 255
-        picture[-near:, :near] = _close_up(env, renderer, camera, step, near)
+        picture[-near - 4 :, -near - 4 :] = 255
+        picture[-near:, -near:] = _close_up(env, renderer, camera, step, near)
         made.append(picture)
     renderer.close()
     return made

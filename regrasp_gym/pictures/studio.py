@@ -212,9 +212,9 @@ def side_by_side(pictures: Sequence[Picture], columns: int, gap: int = 6) -> Pic
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Write an image file, PNG with at most 256 colours (a fraction of the size, and no difference to the eye)."""
+    """Write an image file, small enough for a repository: JPEG for photographs, PNG in 256 colours for drawings."""
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray(picture)
     if path.suffix == ".png":
         image = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    image.save(path, optimize=True)
+    image.save(path, optimize=True, quality=88)
