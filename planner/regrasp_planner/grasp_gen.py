@@ -40,6 +40,10 @@ OUTER_ROUNDS = 2
 """Rounds of Algorithm 3: grasps are refined, then the ground is tilted anew."""
 REACH_CHUNK = 32
 """Starts whose reachability is asked for at once."""
+DEEP = 0.25
+"""Overlap of bounding boxes, in gripper openings, from which on a start is not evaluated, but may be refined."""
+LOOKED_AT = 8
+"""Times that is done in search of starts that the arm takes freely, before others are evaluated."""
 PATIENCE = 3
 """How many times as many starts are evaluated where there are grasps, but the arm can not make use of them."""
 VIOLATION = 0.01
@@ -93,6 +97,7 @@ class GraspSearch:
         self._known: dict[int, Terms] = {}
         self._improved: list[tuple[Float[np.ndarray, " 7"], Terms]] = []
         self._contact_found = False
+        self._hopeless = np.zeros(0, bool)
         self._hull = target.hull_vertices()
 
     @property
@@ -203,25 +208,28 @@ class GraspSearch:
         self.ordered += len(starts.poses)
         wanted = self.options.depth * reduce_gripper(self.gripper).tip_length
         lever = np.linalg.norm(starts.poses[:, 4:] - self.target.center_of_mass, axis=1)
+        self._hopeless = gap < -DEEP * self._length
         cost = overlap + np.maximum(0.0, wanted - starts.depths) - 0.1 * np.clip(gap, 0.0, 6 * self._margin)
         return np.argsort(cost + 0.03 * lever, kind="stable")
 
     def _in_order(self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp]) -> Iterator[int]:
-        """Starts that clear the ground and that the arm reaches, unlike ones before alike ones.
+        """Starts that clear the ground and that the arm reaches, the best graded ones first.
 
-        First those that the arm can take freely, that differ from those before, and that do not hold the target as the
+        Of those alike in that, such come first as differ from others before, and as do not hold the target the way the
         grasps do that were ``refused``.
         """
-        order = self._order[clear[self._order]]
-        for begin in range(0, len(order), REACH_CHUNK):
-            chunk = order[begin : begin + REACH_CHUNK]
-            grades = self._grades(chunk)
-            first, rest = _spread(self._starts.poses[chunk], 0.15 * self._length)
-            waiting = sorted((k for k in (*first, *rest) if grades[k] > 0), key=lambda k: -grades[k])
-            while waiting:
-                at = next((k for k in waiting if not self._alike(int(chunk[k]), refused)), waiting[0])
-                waiting.remove(at)
-                yield int(chunk[at])
+        order = self._order[(clear & ~self._hopeless)[self._order]]
+        chunks = [order[begin : begin + REACH_CHUNK] for begin in range(0, len(order), REACH_CHUNK)]
+        passes = [(1, chunks)] if self._reachable is None else [(2, chunks[:LOOKED_AT]), (1, chunks)]
+        for grade, some in passes:
+            for chunk in some:
+                grades = self._grades(chunk)
+                first, rest = _spread(self._starts.poses[chunk], 0.15 * self._length)
+                waiting = [k for k in (*first, *rest) if grades[k] == grade]
+                while waiting:
+                    at = next((k for k in waiting if not self._alike(int(chunk[k]), refused)), waiting[0])
+                    waiting.remove(at)
+                    yield int(chunk[at])
 
     def _alike(self, i: int, refused: Sequence[Grasp]) -> bool:
         """Whether the start is turned by less than 30° against one of the grasps."""
@@ -340,7 +348,8 @@ class GraspSearch:
             if self._grasp(self._starts.poses[i], self._known[i]) is None
         }
         chosen = sorted(merit, key=lambda i: merit[i])[: self.options.refined]
-        others = self._order[~clear[self._order]][:REACH_CHUNK]
+        untried = np.setdiff1d(self._order, np.asarray(tried, int), assume_unique=True)
+        others = untried[np.argsort(~clear[untried], kind="stable")][:REACH_CHUNK]
         others = others[self._grades(others) > 0] if len(chosen) < self.options.refined else others[:0]
         return [*chosen, *(int(i) for i in others)][: self.options.refined]
 

@@ -19,7 +19,7 @@ from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp_starts import reduce_gripper
 from regrasp_planner.robot import Gripper
 
-START_BUCKETS = (128, 256, 512, 1024, 2048)
+START_BUCKETS = (256, 1024, 4096)
 
 
 class Boxes(NamedTuple):

@@ -211,8 +211,9 @@ def grasp_starts(
     limit = np.minimum(limit, _under_palm(np.concatenate(pieces), origins, turns, reduced, gripper)) - margin
     deep = np.minimum(0.0, limit)
     shallow = low[:, 1] - (origins * approach).sum(axis=1) + 0.6 * reduced.tip_length
-    index = np.concatenate([np.arange(len(deep)), np.flatnonzero(shallow < deep - 0.25 * float(gripper.max_opening))])
-    forward = np.concatenate([deep, shallow[index[len(deep) :]]])
+    room = np.flatnonzero(shallow < deep - 0.1 * float(gripper.max_opening))
+    index = np.concatenate([np.arange(len(deep)), room, room])
+    forward = np.concatenate([deep, shallow[room], 0.5 * (deep + shallow)[room]])
     origins = origins[index] + forward[:, None] * approach[index]
 
     # Where the pads touch: the outermost points of the part between them.
@@ -287,8 +288,8 @@ def _approaches(
         low, high = local.min(axis=1), local.max(axis=1)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         # Off the middle by as much as leaves the pads on the piece, at least where it is longer than the gripper.
-        off = np.where(half[:, 2] > long, 0.6, 0.4) * half[:, 2]
-        for offset in (0.0 * off, off, -off):
+        off = np.where(half[:, 2] > long, 0.7, 0.6) * half[:, 2]
+        for offset in (0.0 * off, 0.5 * off, -0.5 * off, off, -off):
             frames.append(frame)
             origins.append(np.einsum("kij,kj->ki", frame, middle + offset[:, None] * [0.0, 0.0, 1.0]))
     return np.concatenate(frames), np.concatenate(origins)

@@ -320,16 +320,20 @@ class StageMotion:
         return last
 
     def _withdrawals(self, gripper_pose: Pose) -> list[Float[np.ndarray, " 3"]]:
-        """Displacements that take the open gripper off the target: back along the approach axis, or levelly back.
+        """Displacements that take the open gripper off the target: back along the approach axis, levelly, to the base.
 
-        Both lie in the plane of the fingers' faces, so that the pads slide off the target.
+        All lie in the plane of the fingers' faces, so that the pads slide off the target.
         """
-        out = -rigid(gripper_pose).rotation.apply(self._axis)
+        robot, pose = self.surroundings.robot, rigid(gripper_pose)
+        out = -pose.rotation.apply(self._axis)
+        closing = pose.rotation.apply(np.asarray(robot.gripper.width_axis))
+        home = np.asarray(robot.arm.base)[4:] - pose.translation
         directions = [out]
-        level = out * [1.0, 1.0, 0.0]
-        size = float(np.linalg.norm(level))
-        if 0.3 < size < 0.98:
-            directions.append(level / size)
+        for way in (out * [1.0, 1.0, 0.0], (home - (home @ closing) * closing) * [1.0, 1.0, 0.0]):
+            size = float(np.linalg.norm(way))
+            unit = way / max(size, 1e-9)
+            if unit @ out > 0.3 and all(unit @ other < 0.98 for other in directions):
+                directions.append(unit)
         return [length * direction for length in self.options.approach for direction in directions]
 
     def _line(
