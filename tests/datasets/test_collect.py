@@ -251,7 +251,7 @@ def test_existing_folder_stays_as_it_is(dataset):
 
 
 def test_resume_refuses_other_settings(dataset):
-    with pytest.raises(WorkspaceError, match="strategy = 'static'"):
+    with pytest.raises(WorkspaceError, match="strategy = 'repeated'"):
         collect(options(dataset, resume=True, strategy="direct"), quiet())
     assert not dataset.with_name("waves.collecting").exists()
 
