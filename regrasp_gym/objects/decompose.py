@@ -36,7 +36,7 @@ THRESHOLD = 0.05
 """Concavity up to which CoACD takes a part as convex, as a share of the size of the object."""
 
 _ITERATIONS = 60
-"""CoACD's tree search; its default of 150 takes twice as long on the scans of mug and drill, for no tighter pieces."""
+"""CoACD's tree search; on the scans of mug and drill its default of 150 takes twice as long for no tighter pieces."""
 
 _PATIENCE = 900.0
 """Seconds after which CoACD is taken to go round in circles."""

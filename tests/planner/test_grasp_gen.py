@@ -261,8 +261,8 @@ def test_searching_again_over_other_ground_evaluates_only_what_is_new(panda, sce
     assert spent <= OPTIONS.budget
     again = next(search.grasps())
     assert search.evaluations == spent
-    for one, other in zip(again, first, strict=False):
-        np.testing.assert_array_equal(one.grasp.pose, other.grasp.pose)
+    known = {found.grasp.pose.tobytes() for found in first}
+    assert all(found.grasp.pose.tobytes() in known for found in again)
 
 
 @pytest.mark.parametrize("down", np.concatenate([np.eye(3), -np.eye(3)]).tolist())
