@@ -17,11 +17,18 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from regrasp_planner.grasp import Grasp, GraspGenOptions, GraspResult, StartKind
 from regrasp_planner.grasp_order import bounding_boxes, overlaps
-from regrasp_planner.grasp_problem import NO_PLANE, GraspProblem, Terms, grasp_problem, graspable_parts, refine
+from regrasp_planner.grasp_problem import (
+    NO_PLANE,
+    GraspProblem,
+    Terms,
+    evaluate,
+    grasp_problem,
+    graspable_parts,
+    refine,
+)
 from regrasp_planner.grasp_starts import (
     Starts,
     closing_axes,
@@ -125,7 +132,10 @@ class GraspSearch:
         """
         if len(self._starts.poses) == 0:
             return
-        release, clear, _ = self._grounds(self._bodies, start, end)
+        release: Sequence[Float[np.ndarray, " 3"] | None] = [None] * len(self._starts.poses)
+        clear = np.ones(len(self._starts.poses), bool)
+        if start is not None or end is not None:
+            release, clear, _ = self._grounds(self._bodies, start, end)
         tried: list[int] = []
         if self.options.starts is StartKind.CRITICAL:
             refused: list[Grasp] = []
@@ -304,10 +314,9 @@ class GraspSearch:
     def _evaluate(self, new: Sequence[int]) -> None:
         """One evaluation of each of these starts, without the ground."""
         index = np.resize(np.asarray(new), BATCH)
-        grounds = np.tile(NO_PLANE, (BATCH, 2, 1))
-        _, terms, _ = self._solve(
-            self._starts.poses[index], self._starts.thetas[index], self._starts.taken[index], grounds, 1
-        )
+        starts = self._starts
+        scaled = starts.thetas[index][:, None] / self._length
+        terms = jax.device_get(evaluate(starts.poses[index], scaled, starts.taken[index], self._problem))
         self.evaluations += len(new)
         self._known |= {i: Terms(*(leaf[k] for leaf in terms)) for k, i in enumerate(new)}
 
@@ -419,13 +428,14 @@ def _spread(poses: Float[np.ndarray, "K 7"], distance: float) -> tuple[list[int]
 
 
 def _distinct(grasps: Sequence[Grasp], length: float) -> list[Grasp]:
+    """The grasps, but for those within 0.05 rad and 5 % of ``length`` of another one."""
     kept: list[Grasp] = []
     for grasp in grasps:
-        turn = Rotation.from_quat(grasp.pose[:4], scalar_first=True)
-        for other in kept:
-            angle = (turn.inv() * Rotation.from_quat(other.pose[:4], scalar_first=True)).magnitude()
-            if angle < 0.05 and np.linalg.norm(grasp.pose[4:] - other.pose[4:]) < 0.05 * length:
-                break
-        else:
+        alike = (
+            abs(float(grasp.pose[:4] @ other.pose[:4])) > np.cos(0.025)
+            and np.linalg.norm(grasp.pose[4:] - other.pose[4:]) < 0.05 * length
+            for other in kept
+        )
+        if not any(alike):
             kept.append(grasp)
     return kept

@@ -198,12 +198,9 @@ def refine(
     *,
     length: float,
 ) -> tuple[Float[Array, "K 7"], Terms, Int[Array, " K"]]:
-    """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep.
-
-    With one evaluation it tells what the starts are worth: the same program screens and refines.
-    """
+    """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep."""
     manifold = Product((SE3(length=length), Euclidean(1)))
-    count = problem.hand.batch_size * (problem.obstacles.batch_size + 2) + problem.pieces.batch_size
+    count = _clearances(problem)
 
     def one(pose: Array, theta: Array, part: Array, planes: Array) -> tuple[Array, Terms, Array]:
         result = augmented_lagrangian(
@@ -221,12 +218,34 @@ def refine(
             stall_decrease=1e-3,
             stall_steps=2,
         )
-        clearance = result.inequalities[:count].min() * problem.length + problem.margin
-        lacking = jnp.abs(result.equalities).sum() + jnp.maximum(-result.inequalities, 0.0).sum()
-        terms = Terms(-result.value, clearance, result.violation, lacking, result.point[1])
+        terms = _rated(result.value, result.equalities, result.inequalities, result.point[1], problem)
         return result.point[0], terms, result.evaluations
 
     return jax.vmap(one)(poses, thetas, taken, grounds)
+
+
+@jax.jit
+def evaluate(
+    poses: Float[Array, "K 7"], thetas: Float[Array, "K 1"], taken: Int[Array, " K"], problem: GraspProblem
+) -> Terms:
+    """What K grasps are worth as they are, without a ground and without derivatives."""
+
+    def one(pose: Array, theta: Array, part: Array) -> Terms:
+        here = replace(problem, taken=part)
+        return _rated(*grasp_objective((pose, theta), here), theta, here)
+
+    return jax.vmap(one)(poses, thetas, taken)
+
+
+def _clearances(problem: GraspProblem) -> int:
+    """How many of the inequalities are clearances: the first ones."""
+    return problem.hand.batch_size * (problem.obstacles.batch_size + 2) + problem.pieces.batch_size
+
+
+def _rated(value: Array, equalities: Array, inequalities: Array, theta: Array, problem: GraspProblem) -> Terms:
+    clearance = inequalities[: _clearances(problem)].min() * problem.length + problem.margin
+    violations = jnp.concatenate([jnp.abs(equalities), jnp.maximum(-inequalities, 0.0)])
+    return Terms(-value, clearance, violations.max(), violations.sum(), theta)
 
 
 def _repeated(pieces: Sequence[ConvexBody]) -> list[ConvexBody]:

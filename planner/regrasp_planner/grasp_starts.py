@@ -133,10 +133,11 @@ def clip_lines(
     """
     speed = (direction @ planes[:, :3].T)[..., None, :]
     gap = planes[:, 3] - points @ planes[:, :3].T
-    along = np.abs(speed) < 1e-9
-    crossing = gap / np.where(along, 1.0, speed)
-    enter = np.where(speed < -1e-9, crossing, np.where(along & (gap < 0), np.inf, -np.inf)).max(axis=-1)
-    leave = np.where(speed > 1e-9, crossing, np.inf).min(axis=-1)
+    # A line along a plane, outside of it, leaves the body long before it could enter.
+    speed = np.where(np.abs(speed) < 1e-9, 1e-12, speed)
+    crossing = gap / speed
+    enter = np.where(speed < 0, crossing, -np.inf).max(axis=-1)
+    leave = np.where(speed > 0, crossing, np.inf).min(axis=-1)
     hit = enter < leave
     return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
 
@@ -203,10 +204,10 @@ def grasp_starts(
     closing, approach = frames[:, :, 0], frames[:, :, 1]
 
     # How far the gripper goes forward until the palm or an opened fingertip meets the target.
-    local = np.einsum("nj,kji->kni", part, frames)
+    local = part @ frames
     low, high = local.min(axis=1), local.max(axis=1)
     opened = np.minimum(_theta_of_width(gripper, (high - low)[:, 0]) + margin, float(gripper.upper))
-    probes = origins[:, None] + np.einsum("kij,kpj->kpi", turns, _fronts(gripper, reduced, opened))
+    probes = origins[:, None] + _fronts(gripper, reduced, opened) @ turns.swapaxes(1, 2)
     limit = np.min([clip_lines(probes, approach, hull_planes(each))[0].min(axis=1) for each in pieces], axis=0)
     limit = np.minimum(limit, _under_palm(np.concatenate(pieces), origins, turns, reduced, gripper)) - margin
     deep = np.minimum(0.0, limit)
@@ -220,7 +221,7 @@ def grasp_starts(
     planes = hull_planes(part)
     pad = _face(reduced.pads[0].hull_vertices(), width_axis)
     pad = pad - np.outer(pad @ width_axis, width_axis)
-    over = origins[:, None] + np.einsum("kij,pj->kpi", turns[index], pad)
+    over = origins[:, None] + pad @ turns[index].swapaxes(1, 2)
     enter, leave = clip_lines(over, closing[index], planes)
     first, last = enter.min(axis=1), leave.max(axis=1)
     fits = np.flatnonzero((last > first) & (last - first <= float(gripper.max_opening)))
@@ -261,7 +262,7 @@ def gripper_corners(
     local = [np.broadcast_to(palm, (len(theta), *palm.shape))]
     local += [_moved(points, screw, theta) for points, screw in zip(fingers, np.asarray(gripper.screws), strict=True)]
     turns = Rotation.from_quat(poses[:, :4], scalar_first=True).as_matrix().reshape(-1, 3, 3)
-    return [np.einsum("kij,kgj->kgi", turns, part) + poses[:, None, 4:] for part in local]
+    return [part @ turns.swapaxes(1, 2) + poses[:, None, 4:] for part in local]
 
 
 def _moved(
@@ -269,7 +270,7 @@ def _moved(
 ) -> Float[np.ndarray, "K P 3"]:
     """Points of a finger at several finger coordinates, in the gripper frame."""
     motion = RigidTransform.from_exp_coords(theta[:, None] * np.concatenate([screw[3:], screw[:3]]))
-    return np.einsum("kij,pj->kpi", motion.rotation.as_matrix(), points) + motion.translation[:, None]
+    return points @ motion.rotation.as_matrix().swapaxes(1, 2) + motion.translation[:, None]
 
 
 def _approaches(
@@ -284,7 +285,7 @@ def _approaches(
         first = np.cross(axis, other) / np.linalg.norm(np.cross(axis, other))
         approach = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(axis, first))
         frame = np.stack([np.broadcast_to(axis, approach.shape), approach, np.cross(axis, approach)], axis=2)
-        local = np.einsum("nj,kji->kni", piece, frame)
+        local = piece @ frame
         low, high = local.min(axis=1), local.max(axis=1)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         # Off the middle by as much as leaves the pads on the piece, at least where it is longer than the gripper.
@@ -313,7 +314,7 @@ def _under_palm(
     """How far the gripper goes forward until the palm meets the first of the target's corners in front of it."""
     axis = np.asarray(gripper.approach_axis)
     palm = outer_corners(reduced.hand[0])
-    local = np.einsum("knj,kji->kni", corners - origins[:, None], turns)
+    local = (corners - origins[:, None]) @ turns
     level = 1.0 - np.abs(axis)
     inside = ((local >= palm.min(axis=0)) & (local <= palm.max(axis=0)) | (level < 0.5)).all(axis=2)
     return np.where(inside, local @ axis + reduced.finger_length, np.inf).min(axis=1)

@@ -128,8 +128,9 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
 def _stable_poses(seed: int, task: Task, repeats: int) -> dict[str, Record]:
     from regrasp_planner import stable_poses
 
-    points = 0.05 * np.random.default_rng(seed).normal(size=(60, 3))
-    hull = trimesh.convex.convex_hull(points)
+    points = np.random.default_rng(seed).normal(size=(60, 3))
+    # On an ellipsoid, so that all 60 are corners of the hull.
+    hull = trimesh.convex.convex_hull(points / np.linalg.norm(points, axis=1, keepdims=True) * [0.03, 0.04, 0.05])
     body = task.target
     target = trimesh.convex.convex_hull(body.hull_vertices())
     calls = {
