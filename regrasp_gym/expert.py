@@ -21,28 +21,28 @@ Script = Generator[Command, None, Failure | None]
 class ExpertOptions:
     """How patient the expert is.
 
+    Times are those of a table-top, in seconds; they grow with the scenario's `pace`.
+
     Attributes:
         max_stages: stages executed before it gives up.
-        arrival: largest joint error at which a motion counts as finished, radians.
-        arrival_steps: environment steps it waits for that.
-        grip_steps: least and most steps for closing the fingers.
-        open_steps: steps for opening them.
-        rest_steps: most steps to wait for the released target to come to rest.
-        calm_steps: steps in a row that it has to rest.
-        rest_speed: speed (m/s, and rad/s over 10) at which it counts as resting.
+        arrival_time: it waits so long for the arm to arrive at the end of a motion.
+        grip_time: least and most time for closing the fingers.
+        open_time: time for opening them.
+        rest_time: most time to wait for the released target to come to rest.
+        calm_time: how long it has to rest.
+        grip_rate: rate at which the fingers count as standing still, in their range per second.
         lost_travel: how much further than planned the fingers may close before the grasp counts as lost, as a share
             of their range.
         retries: plans made anew after a lost grasp.
     """
 
     max_stages: int = 6
-    arrival: float = 0.004
-    arrival_steps: int = 12
-    grip_steps: tuple[int, int] = (6, 16)
-    open_steps: int = 6
-    rest_steps: int = 60
-    calm_steps: int = 6
-    rest_speed: float = 0.005
+    arrival_time: float = 0.6
+    grip_time: tuple[float, float] = (0.3, 0.8)
+    open_time: float = 0.3
+    rest_time: float = 3.0
+    calm_time: float = 0.3
+    grip_rate: float = 0.025
     lost_travel: float = 0.1
     retries: int = 2
 
@@ -186,33 +186,39 @@ class PlannerExpert:
             t = min(t + period / max(1.0, pace), trajectory.duration)
             yield np.append(trajectory.at(t), segment.theta)
         end = np.append(trajectory.goal, segment.theta)
-        for _ in range(self.options.arrival_steps):
+        for _ in range(self._steps(self.options.arrival_time)):
             if self.env.effort(end) < 0.05 and self._arrived():
                 return
             yield end
 
     def _close(self, theta: float) -> Generator[Command, None, None]:
         """Close the fingers until they stand still."""
-        least, most = self.options.grip_steps
+        least, most = map(self._steps, self.options.grip_time)
+        low, high = self.env.scenario.robot.theta_range
         for step in range(most):
-            if step >= least and abs(self.env.world.theta_rate) < 1e-3:
+            if step >= least and abs(self.env.world.theta_rate) < self.options.grip_rate * (high - low):
                 return
             yield self._standing(theta)
 
     def _open(self, theta: float | None = None) -> Generator[Command, None, None]:
         """Open the fingers."""
         theta = self.env.scenario.robot.theta_range[1] if theta is None else theta
-        for _ in range(self.options.open_steps):
+        for _ in range(self._steps(self.options.open_time)):
             yield self._standing(theta)
 
     def _until_rest(self) -> Generator[Command, None, None]:
         """Stand still until the target does, or is where it belongs."""
         calm = 0
-        for _ in range(self.options.rest_steps):
+        for _ in range(self._steps(self.options.rest_time)):
             calm = calm + 1 if self._resting() else 0
-            if self.env.is_success or calm >= self.options.calm_steps:
+            if self.env.is_success or calm >= self._steps(self.options.calm_time):
                 return
             yield self.env.command
+
+    def _steps(self, seconds: float) -> int:
+        """Environment steps that a time takes at the scenario's pace."""
+        scenario = self.env.scenario
+        return round(seconds * scenario.pace / scenario.control_period)
 
     # What it sees -----------------------------------------------------------------------------------------------
 
@@ -220,12 +226,13 @@ class PlannerExpert:
         return np.append(self.env.command[:-1], theta)
 
     def _arrived(self) -> bool:
-        return bool(np.abs(self.env.world.joint_positions - self.env.command[:-1]).max() < self.options.arrival)
+        return bool(np.abs(self.env.world.joint_positions - self.env.command[:-1]).max() < self.env.scenario.arrival)
 
     def _resting(self) -> bool:
-        velocity = self.env.world.target_velocity
-        speed = max(np.linalg.norm(velocity[:3]), 0.1 * np.linalg.norm(velocity[3:]))
-        return bool(speed < self.options.rest_speed)
+        """Well below the speeds at which a target at rest still counts as such."""
+        velocity, tolerance = self.env.world.target_velocity, self.env.scenario.tolerance
+        slow = np.linalg.norm(velocity[:3]) < 0.5 * tolerance.speed
+        return bool(slow and np.linalg.norm(velocity[3:]) < 0.25 * tolerance.turn_rate)
 
     def _holds(self, stage: Stage) -> bool:
         """The fingers are kept apart by the target, and they touch it."""

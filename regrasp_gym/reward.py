@@ -15,28 +15,26 @@ GOAL_SIZE = 10
 
 _MOVING, _TOUCHED, _REACH = 7, 8, 9
 
-_ROTATION_LEVER = 0.1
-"""Metres that a radian of misalignment counts in the dense reward: half the size of a larger object."""
-
-_LENGTH_SCALE = 0.2
-"""Metres at which the dense reward's terms have fallen to 1 − tanh 1 = 24 %."""
-
 
 @dataclass(frozen=True)
 class Tolerance:
-    """When the target counts as placed.
+    """When the target counts as placed, and the lengths that the dense reward is shaped by.
 
     Attributes:
         position: largest distance from the goal, metres.
         rotation: largest angle from the goal, radians.
         speed: largest speed of a target at rest, m/s.
         turn_rate: largest angular speed of a target at rest, rad/s.
+        lever: metres that a radian of misalignment counts in the dense reward: half the size of a larger object.
+        length: metres at which the dense reward's terms have fallen to 1 − tanh 1 = 24 %.
     """
 
     position: float = 0.025
     rotation: float = float(np.deg2rad(15))
     speed: float = 0.01
     turn_rate: float = 0.2
+    lever: float = 0.1
+    length: float = 0.2
 
 
 def pose_errors(
@@ -75,13 +73,13 @@ def dense_reward(
 ) -> Float[np.ndarray, "*batch"]:
     """0 on success, else −1 + 0.25 reach + 0.7 closeness, which is in [−1, −0.05].
 
-    closeness = 1 − tanh((distance + 0.1 m/rad · angle) / 0.2 m) of the target from its goal;
-    reach = 1 − tanh(distance / 0.2 m) of the gripper from the target, and 1 once the target is in place, so that
+    closeness = 1 − tanh((distance + lever · angle) / length) of the target from its goal;
+    reach = 1 − tanh(distance / length) of the gripper from the target, and 1 once the target is in place, so that
     letting go costs nothing.
     """
     distance, angle = pose_errors(achieved, desired)
-    closeness = 1 - np.tanh((distance + _ROTATION_LEVER * angle) / _LENGTH_SCALE)
-    near = 1 - np.tanh(achieved[..., _REACH] / _LENGTH_SCALE)
+    closeness = 1 - np.tanh((distance + tolerance.lever * angle) / tolerance.length)
+    near = 1 - np.tanh(achieved[..., _REACH] / tolerance.length)
     reach = np.where(_in_place(achieved, desired, tolerance), 1.0, near)
     return np.where(is_success(achieved, desired, tolerance), 0.0, -1 + 0.25 * reach + 0.7 * closeness)
 

@@ -99,6 +99,8 @@ class GraspSearch:
         self.evaluations, self.ordered = 0, 0
         self._length = float(gripper.max_opening)
         self._margin = self.options.margin * self._length
+        self._travel = reduce_gripper(gripper).travel
+        self._stroke = self._length * self._travel
         self._reachable = reachable
         self._reached: dict[int, int] = {}
         self._known: dict[int, Terms] = {}
@@ -148,7 +150,7 @@ class GraspSearch:
                     refused += [each.grasp for each in found]
         if self._improved:
             poses = np.array([pose for pose, _ in self._improved])
-            thetas = np.array([terms.closing[0] for _, terms in self._improved]) * self._length
+            thetas = np.array([terms.closing[0] for _, terms in self._improved]) * self._stroke
             found = self._cleared(poses, thetas, [terms for _, terms in self._improved], start, end)
             if found:
                 yield found
@@ -211,7 +213,7 @@ class GraspSearch:
         starts = self._starts
         if self.options.starts is StartKind.UNIFORM:
             return np.arange(len(starts.poses))
-        opened = np.minimum(starts.thetas + self._margin, float(self.gripper.upper))
+        opened = np.minimum(starts.thetas + self._margin * self._travel, float(self.gripper.upper))
         problem = self._problem
         boxes, where = bounding_boxes(problem.obstacles), np.asarray(problem.obstacle_poses)
         overlap, gap = overlaps(starts.poses, opened, self.gripper, boxes, where, self._margin)
@@ -267,7 +269,7 @@ class GraspSearch:
     def _around(self, poses: Float[np.ndarray, "K 7"], thetas: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K G 3"]:
         """Corners of palm and fingers in the target's frame, opened for the target and opened wide."""
         upper = np.full(len(thetas), float(self.gripper.upper))
-        opened = np.minimum(thetas + self._margin, upper)
+        opened = np.minimum(thetas + self._margin * self._travel, upper)
         parts = [part for theta in (opened, upper) for part in gripper_corners(self.gripper, poses, theta)]
         return np.concatenate(parts, axis=1)
 
@@ -315,7 +317,7 @@ class GraspSearch:
         """One evaluation of each of these starts, without the ground."""
         index = np.resize(np.asarray(new), BATCH)
         starts = self._starts
-        scaled = starts.thetas[index][:, None] / self._length
+        scaled = starts.thetas[index][:, None] / self._stroke
         terms = jax.device_get(evaluate(starts.poses[index], scaled, starts.taken[index], self._problem))
         self.evaluations += len(new)
         self._known |= {i: Terms(*(leaf[k] for leaf in terms)) for k, i in enumerate(new)}
@@ -328,7 +330,7 @@ class GraspSearch:
         grounds: Float[np.ndarray, "B 2 4"],
         evaluations: int,
     ) -> tuple[Float[np.ndarray, "B 7"], Terms, Int[np.ndarray, " B"]]:
-        scaled = thetas[:, None] / self._length
+        scaled = thetas[:, None] / self._stroke
         solved = refine(poses, scaled, taken, grounds, self._problem, evaluations, length=self._length)
         return jax.device_get(solved)
 
@@ -339,8 +341,8 @@ class GraspSearch:
         self._contact_found = True
         if terms.quality < self.options.quality_threshold:
             return None
-        theta = float(terms.closing[0]) * self._length
-        opening = min(theta + self._margin, float(self.gripper.upper))
+        theta = float(terms.closing[0]) * self._stroke
+        opening = min(theta + self._margin * self._travel, float(self.gripper.upper))
         return Grasp(np.asarray(pose), theta, float(opening), float(terms.quality), float(terms.clearance))
 
     # --- refinement ---------------------------------------------------------------------------------------------------
@@ -376,7 +378,7 @@ class GraspSearch:
                 _, _, planes = self._grounds(self._around(poses, thetas), start, end)
                 evaluations = self.options.max_evaluations // rounds
                 poses, terms, spent = self._solve(poses, thetas, self._starts.taken[index], planes, evaluations)
-                thetas = np.asarray(terms.closing)[:, 0] * self._length
+                thetas = np.asarray(terms.closing)[:, 0] * self._stroke
                 self.evaluations += int(spent[:count].sum())
             assert terms is not None
             each = [Terms(*(leaf[k] for leaf in terms)) for k in range(count)]

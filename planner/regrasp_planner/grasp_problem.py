@@ -47,7 +47,8 @@ class GraspProblem:
     ``facets`` holds the planes (n, b) of the hull of each part of the target that a start may take, n·x ≤ b inside: its
     pieces, and their common hull if there are several; ``taken`` says which. ``hand`` stacks palm, finger 0 and
     finger 1 (the convex hull of each); ``pads`` the two contact bodies. ``grounds`` are planes (x, b) with downward
-    normals x that the target stands on before and after, x·p ≤ b above them.
+    normals x that the target stands on before and after, x·p ≤ b above them. ``travel`` is θ per metre that a finger
+    moves.
     """
 
     pieces: ConvexBody
@@ -66,10 +67,12 @@ class GraspProblem:
     upper: Float[Array, ""]
     margin: Float[Array, ""]
     length: Float[Array, ""]
+    travel: Float[Array, ""]
 
 
 class Terms(NamedTuple):
-    """Quality f, least clearance (metres), largest and total violation (gripper openings), θ (gripper openings)."""
+    """Quality f, least clearance (metres), largest and total violation (gripper openings), and how far a finger has
+    moved (gripper openings): θ in units of ``length * travel``."""
 
     quality: Float[Array, ""]
     clearance: Float[Array, ""]
@@ -110,12 +113,12 @@ def union_obstacles(scenes: Sequence[Scene], reach: float) -> tuple[list[ConvexB
 def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Array, Array, Array]:
     """Quality f, contact distances (2,), clearances of the open gripper (P + 3W + 6,), limits of θ and depth (3,).
 
-    ``point`` is the gripper pose in the target's frame and θ in units of ``problem.length``.
+    ``point`` is the gripper pose in the target's frame and θ in units of ``problem.length * problem.travel``.
     """
     pose, scaled = point
-    theta = scaled[0] * problem.length
+    theta = scaled[0] * problem.length * problem.travel
     hand = jaxlie.SE3(pose)
-    opened = jnp.minimum(theta + problem.margin, problem.upper)
+    opened = jnp.minimum(theta + problem.margin * problem.travel, problem.upper)
     closed_fingers = (hand @ jaxlie.SE3.exp(theta * problem.screws)).wxyz_xyz
     open_fingers = (hand @ jaxlie.SE3.exp(opened * problem.screws)).wxyz_xyz
     links = jnp.concatenate([pose[None], open_fingers])
@@ -159,7 +162,7 @@ def _terms(point: tuple[Array, Array], problem: GraspProblem) -> tuple[Array, Ar
     towards = towards / jnp.sqrt(towards @ towards + 1e-12)
     width_axis = hand.rotation().apply(problem.width_axis)
     alignment = -0.5 * (width_axis @ towards) ** 2
-    limits = jnp.stack([theta - problem.lower, problem.upper - theta])
+    limits = jnp.stack([theta - problem.lower, problem.upper - theta]) / problem.travel
     # Contact alone would be content with a fingertip on an edge, which holds no torque and survives no error of a
     # millimetre: the grasp centre has to lie deep in the part taken, but for the faces that the fingers press on.
     planes = problem.facets[problem.taken]
@@ -174,7 +177,7 @@ def grasp_objective(
     """Problem (4) at one grasp, as `augmented_lagrangian` takes it.
 
     Args:
-        point: gripper pose in the target's frame, and θ in units of the gripper's opening.
+        point: gripper pose in the target's frame, and how far a finger has moved in units of the gripper's opening.
         problem: from `grasp_problem`.
 
     Returns:
@@ -301,4 +304,5 @@ def grasp_problem(target: Body, scenes: Sequence[Scene], gripper: Gripper, optio
         upper=jnp.asarray(gripper.upper),
         margin=jnp.asarray(options.margin * float(gripper.max_opening)),
         length=jnp.asarray(float(gripper.max_opening)),
+        travel=jnp.asarray(reduced.travel),
     )

@@ -50,12 +50,18 @@ class GripperBodies(NamedTuple):
         pads: the two contact bodies at θ = 0, stacked, in the gripper frame.
         finger_length: distance from the palm to the gripper frame's origin along the approach axis, metres.
         tip_length: how far the fingers reach beyond it, metres.
+        thetas, gaps: (16,) finger coordinates over their range, and how far the pads are apart there, metres.
+        travel: by how much θ grows per metre that each finger moves outwards, on average over its range; 1 where the
+            fingers slide and θ is their travel.
     """
 
     hand: ConvexBody
     pads: ConvexBody
     finger_length: float
     tip_length: float
+    thetas: Float[np.ndarray, " 16"]
+    gaps: Float[np.ndarray, " 16"]
+    travel: float
 
 
 _REDUCED: dict[int, GripperBodies] = {}
@@ -73,10 +79,32 @@ def reduce_gripper(gripper: Gripper) -> GripperBodies:
     approach = np.asarray(gripper.approach_axis)
     palm_front = float(support_value(hulls[0], jnp.asarray(approach)))
     tip = max(float(support_value(hull, jnp.asarray(approach))) for hull in hulls[1:])
-    reduced = GripperBodies(ConvexBody.stack(hulls), ConvexBody.stack(pads), -palm_front, tip)
+    thetas = np.linspace(float(gripper.lower), float(gripper.upper), 16)
+    gaps = _pad_gaps(gripper, pads, thetas)
+    travel = round(float(2 * (thetas[-1] - thetas[0]) / (gaps[-1] - gaps[0])), 9)
+    reduced = GripperBodies(ConvexBody.stack(hulls), ConvexBody.stack(pads), -palm_front, tip, thetas, gaps, travel)
     _REDUCED[id(gripper)] = reduced
     weakref.finalize(gripper, _REDUCED.pop, id(gripper), None)
     return reduced
+
+
+def _pad_gaps(gripper: Gripper, pads: Sequence[ConvexBody], thetas: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+    """Distance of the pads along the width axis at finger coordinates, metres."""
+    axis = np.asarray(gripper.width_axis)
+    along = [
+        _moved(pad.hull_vertices(), screw, thetas) @ axis
+        for pad, screw in zip(pads, np.asarray(gripper.screws), strict=True)
+    ]
+    if along[0].mean() > along[1].mean():
+        along.reverse()
+    swept = sum(float(pad.radius) for pad in pads)
+    return along[1].min(axis=1) - along[0].max(axis=1) - swept
+
+
+def finger_coordinate(gripper: Gripper, width: Float[np.ndarray, "*K"] | float) -> Float[np.ndarray, "*K"]:
+    """θ at which the pads are ``width`` metres apart; the end of its range for what the gripper can not do."""
+    reduced = reduce_gripper(gripper)
+    return np.asarray(np.interp(width, reduced.gaps, reduced.thetas))
 
 
 def closing_axes(
@@ -206,7 +234,8 @@ def grasp_starts(
     # How far the gripper goes forward until the palm or an opened fingertip meets the target.
     local = part @ frames
     low, high = local.min(axis=1), local.max(axis=1)
-    opened = np.minimum(_theta_of_width(gripper, (high - low)[:, 0]) + margin, float(gripper.upper))
+    closed = finger_coordinate(gripper, (high - low)[:, 0])
+    opened = np.minimum(closed + margin * reduced.travel, float(gripper.upper))
     probes = origins[:, None] + _fronts(gripper, reduced, opened) @ turns.swapaxes(1, 2)
     limit = np.min([clip_lines(probes, approach, hull_planes(each))[0].min(axis=1) for each in pieces], axis=0)
     limit = np.minimum(limit, _under_palm(np.concatenate(pieces), origins, turns, reduced, gripper)) - margin
@@ -219,8 +248,8 @@ def grasp_starts(
 
     # Where the pads touch: the outermost points of the part between them.
     planes = hull_planes(part)
-    pad = _face(reduced.pads[0].hull_vertices(), width_axis)
-    pad = pad - np.outer(pad @ width_axis, width_axis)
+    pad = _moved(_face(reduced.pads[0].hull_vertices(), width_axis), np.asarray(gripper.screws)[0], closed[index])
+    pad = pad - (pad @ width_axis)[..., None] * width_axis
     over = origins[:, None] + pad @ turns[index].swapaxes(1, 2)
     enter, leave = clip_lines(over, closing[index], planes)
     first, last = enter.min(axis=1), leave.max(axis=1)
@@ -231,7 +260,7 @@ def grasp_starts(
     depths = np.where(facing, np.inf, planes[:, 3] - origins @ planes[:, :3].T).min(axis=1)
     quaternions = Rotation.from_matrix(turns[index]).as_quat(scalar_first=True).reshape(-1, 4)
     poses = np.concatenate([quaternions, origins], axis=1)
-    return Starts(poses, _theta_of_width(gripper, last - first), depths, np.full(len(index), taken))
+    return Starts(poses, finger_coordinate(gripper, last - first), depths, np.full(len(index), taken))
 
 
 def uniform_starts(hull: Float[np.ndarray, "N 3"], gripper: Gripper, count: int, seed: int) -> Starts:
@@ -335,9 +364,3 @@ def hull_planes(vertices: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "F 4"]:
     """Planes (n, b) of the facets of a hull, n·x ≤ b inside; facets that lie in one plane give it once."""
     planes = qhull(vertices).equations * [1.0, 1.0, 1.0, -1.0]
     return planes[np.unique(planes.round(7), axis=0, return_index=True)[1]]
-
-
-def _theta_of_width(gripper: Gripper, width: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-    """Finger coordinate at which the pads are ``width`` apart, by linear interpolation between the limits."""
-    low, high = float(gripper.lower), float(gripper.upper)
-    return np.clip(low + width / float(gripper.max_opening) * (high - low), low, high)

@@ -404,16 +404,19 @@ def _result(arm: Arm, search: _Search, max_solutions: int) -> IkResult:
         order = order[_distinct(q[order])][:max_solutions]
         solutions = tuple(search.found[i] for i in order)
         return IkResult(solutions, None, "", solutions[0].q)
+    unit = search.model.arrays.robot.unit
     if search.hopeless is not None:
         value, pair = search.hopeless
         kind = IkFailure(search.model.kind(pair))
-        message = f"{kind}: {search.model.describe(pair)}, {-value:.4f} m too close at this gripper pose"
+        message = f"{kind}: {search.model.describe(pair)}, {-value * unit:.4f} m too close at this gripper pose"
         return IkResult((), kind, message, search.closest[1])
     if search.colliding:
         value, pair, q = max(search.colliding, key=lambda entry: entry[0])
         kind = IkFailure(search.model.kind(pair))
         names = search.model.describe(pair)
-        message = f"{kind}: {names}, {-value:.4f} m too close in the best of {len(search.colliding)} configurations"
+        message = (
+            f"{kind}: {names}, {-value * unit:.4f} m too close in the best of {len(search.colliding)} configurations"
+        )
         return IkResult((), kind, message, q)
     error, q = search.closest
     free = replace(arm, lower=jnp.full(arm.dof, -2 * np.pi), upper=jnp.full(arm.dof, 2 * np.pi))
@@ -428,6 +431,6 @@ def _result(arm: Arm, search: _Search, max_solutions: int) -> IkResult:
         message = f"joint limits: {arm.joint_names[joint]!r} would have to turn to {angles[joint]:.3f} rad"
         message += f", limits [{low[joint]:.3f}, {high[joint]:.3f}]"
         return IkResult((), IkFailure.JOINT_LIMITS, message, q)
-    position = np.round(search.target[4:], 3).tolist()
-    message = f"unreachable: gripper position {position} m stays {error:.4f} m away"
+    position = np.round(search.target[4:] * unit, 3).tolist()
+    message = f"unreachable: gripper position {position} m stays {error * unit:.4f} m away"
     return IkResult((), IkFailure.UNREACHABLE, message, q)

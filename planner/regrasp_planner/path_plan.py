@@ -190,7 +190,8 @@ class _Query:
         if collision is None:
             return PathResult(status, detail or status.value, stats=self.stats)
         a, b = (self.model.body_names[i] for i in self.model.pairs[collision.pair])
-        message = f"{status.value}: {a!r} and {b!r} are {collision.distance * 1e3:.1f} mm apart" + detail
+        apart = 1e3 * collision.distance * self.model.arrays.robot.unit
+        message = f"{status.value}: {a!r} and {b!r} are {apart:.1f} mm apart" + detail
         return PathResult(status, message, None, (a, b), collision.configuration, self.stats)
 
     def finish(self, path: BSpline, method: str) -> PathResult | None:
@@ -368,7 +369,7 @@ class _Query:
         start = np.clip(start, self.lower, self.upper)
         line = follow_line(self.kinematics, start, displacement)
         if line.fraction < 1.0:
-            done = line.fraction * float(np.linalg.norm(displacement))
+            done = line.fraction * float(np.linalg.norm(displacement)) * self.model.arrays.robot.unit
             cause = (
                 f"joint {self.arm.joint_names[line.limited]!r} reaches its limit"
                 if line.limited is not None

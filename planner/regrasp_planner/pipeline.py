@@ -10,6 +10,7 @@ from regrasp_planner.grasp import Grasp
 from regrasp_planner.regrasp import RegraspSearch
 from regrasp_planner.robot import Robot
 from regrasp_planner.sampling import sample_grasps
+from regrasp_planner.scale import grown, scaled_grasp, shrink_factor, shrunk
 from regrasp_planner.scene import Task
 from regrasp_planner.stage_search import PlanOptions, StageSearch, furthest
 from regrasp_planner.stages import Failure, Phase, Plan, PlanStats, Reason, Stage, StageKind, Strategy
@@ -34,7 +35,7 @@ def plan(
         robot: arm, gripper and their bodies.
         strategy: see `Strategy`; a name does.
         seed: of the random starts; the same seed gives the same plan.
-        options: see `PlanOptions`.
+        options: see `PlanOptions`; its lengths are for a gripper that opens 80 mm, and grow with the gripper.
         known_grasps: grasps tried for the whole way before any are generated, such as those of an earlier plan.
 
     Returns:
@@ -52,7 +53,9 @@ def plan(
         check_task(task, robot)
     except ValueError as error:
         return Plan(False, Failure(Reason.BAD_INPUT, "", "", str(error)), (), strategy, PlanStats(), seed)
-    stages = StageSearch(task, robot, seed, options or PlanOptions())
+    factor = shrink_factor(robot)
+    stages = StageSearch(*shrunk(task, robot), seed, options or PlanOptions())
+    known_grasps = [scaled_grasp(grasp, factor) for grasp in known_grasps]
     phases: list[Phase] = []
     outcome: tuple[Stage, ...] | Failure | None = None
     for phase, attempt in _attempts(stages, strategy, known_grasps):
@@ -67,7 +70,7 @@ def plan(
     if isinstance(outcome, Failure):
         return Plan(False, outcome, (), strategy, stats, seed)
     assert outcome is not None
-    return Plan(True, None, outcome, strategy, stats, seed)
+    return Plan(True, None, grown(outcome, factor), strategy, stats, seed)
 
 
 _Attempt = Callable[[], tuple[Stage, ...] | Failure]

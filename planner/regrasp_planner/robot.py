@@ -99,6 +99,7 @@ class Robot:
             then ``gripper.palm`` (B…B+P−1), then ``gripper.fingers``.
         home: (n,) a comfortable configuration, radians.
         name: for messages.
+        unit: metres per unit of length in this description, for messages; see `regrasp_planner.scale`.
     """
 
     arm: Arm
@@ -108,6 +109,7 @@ class Robot:
     self_pairs: Int[Array, "S 2"]
     home: Float[Array, " n"]
     name: str = field(metadata={"static": True})
+    unit: float = field(default=1.0, metadata={"static": True})
 
 
 def forward_kinematics(arm: Arm, q: Float[Array, " n"]) -> Float[Array, "n+2 7"]:

@@ -26,7 +26,7 @@ from regrasp_planner.closing import Pads, Poses, clipped, close_fingers, reaches
 from regrasp_planner.geometry.hull import minimal_width
 from regrasp_planner.grasp import Grasp, GraspResult
 from regrasp_planner.grasp_problem import graspable_parts, union_obstacles
-from regrasp_planner.grasp_starts import hull_planes, reduce_gripper
+from regrasp_planner.grasp_starts import finger_coordinate, hull_planes, reduce_gripper
 from regrasp_planner.pose import rigid
 from regrasp_planner.robot import Gripper
 from regrasp_planner.scene import Body, Scene
@@ -75,7 +75,7 @@ def sample_grasps(
         `GraspResult`; ``evaluations`` is the number of samples, or 0 if the target is too wide to begin with.
     """
     sampler = _Sampler(target, scenes, gripper, options or SamplingOptions())
-    if sampler.narrowest > float(gripper.upper):
+    if sampler.narrowest >= float(gripper.upper):
         return GraspResult((), 0, "too wide")
     closed = sampler.closed(sampler.drawn(seed))
     grasps = sampler.best(closed)
@@ -126,9 +126,8 @@ class _Sampler:
         self.hand = [gripper.palm[k] for k in range(gripper.palm.batch_size)]
         self.hand += [gripper.fingers[k] for k in range(gripper.fingers.batch_size)]
         least = min(minimal_width(piece.hull_vertices()) + 2 * float(piece.radius) for piece in target.pieces)
-        lower, upper = float(gripper.lower), float(gripper.upper)
         # Nothing narrower than this goes round the target, or a piece of it.
-        self.narrowest = lower + (upper - lower) * (least + 2 * FINGER_GAP * self.margin) / self.length
+        self.narrowest = float(finger_coordinate(gripper, least + 2 * FINGER_GAP * self.margin))
 
     @cached_property
     def pieces(self) -> FixedBodies:

@@ -220,7 +220,7 @@ class StageSearch:
         """Why a search has given no grasp."""
         name, reason = self.task.target.name, search.reason
         if reason == "too wide":
-            opening = 1e3 * float(self.robot.gripper.max_opening)
+            opening = 1e3 * float(self.robot.gripper.max_opening) * self.robot.unit
             message = f"{name!r} is wider in every direction than the gripper opens ({opening:.0f} mm)"
             return Failure(Reason.TOO_WIDE, kind, "finger limits", message)
         if reason == "out of reach":

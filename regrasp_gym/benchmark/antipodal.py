@@ -11,11 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import RigidTransform
 
 from regrasp_gym.benchmark.shapes import Posed, Shape, clear
 from regrasp_planner import Body, Gripper
 from regrasp_planner.geometry.hull import qhull
-from regrasp_planner.grasp_starts import reduce_gripper
+from regrasp_planner.grasp_starts import finger_coordinate, reduce_gripper
+
+_ROUND = 0.3
+"""Share of its radius by which a round pad is touched off its middle: sides slant by up to 15°."""
 
 _TOUCH = 5e-4
 """Surface points this near (metres) to where a pad touches belong to the contact."""
@@ -77,10 +81,9 @@ class Hand:
         fingers = [gripper.fingers[i] for i in range(gripper.fingers.batch_size)]
         self.shapes = [Shape.of(body) for body in (*palms, *fingers)]
         self.palms = len(palms)
-        if np.abs(np.asarray(gripper.screws)[:, 3:]).max() > 0:
-            raise NotImplementedError("the oracle knows grippers with sliding fingers only")
-        slides = np.asarray(gripper.screws)[np.asarray(gripper.finger_of), :3]
-        self._slides = np.concatenate([np.zeros((self.palms, 3)), slides])
+        screws = np.asarray(gripper.screws)[np.asarray(gripper.finger_of)]
+        # Scipy's exponential coordinates have the rotation first.
+        self._twists = np.concatenate([np.zeros((self.palms, 6)), np.roll(screws, 3, axis=1)])
 
     def at(
         self,
@@ -89,9 +92,11 @@ class Hand:
         thetas: Float[np.ndarray, " N"],
     ) -> Posed:
         """The bodies with the gripper frame at N poses and the fingers at N coordinates."""
-        local = thetas[:, None, None] * self._slides
-        shifts = positions[:, None] + local @ np.swapaxes(rotations, 1, 2)
-        return Posed(self.shapes, np.repeat(rotations[:, None], len(self.shapes), 1), shifts)
+        count = len(self.shapes)
+        local = RigidTransform.from_exp_coords((thetas[:, None, None] * self._twists).reshape(-1, 6))
+        shifts = local.translation.reshape(-1, count, 3) @ np.swapaxes(rotations, 1, 2)
+        turns = rotations[:, None] @ local.rotation.as_matrix().reshape(-1, count, 3, 3)
+        return Posed(self.shapes, turns, positions[:, None] + shifts)
 
 
 def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | None = None) -> Candidates:
@@ -102,7 +107,7 @@ def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | No
 
     Args:
         target: convex pieces in the target's frame.
-        gripper: a gripper with sliding fingers, the same from both sides.
+        gripper: the gripper, the same from both sides.
         options: see `AntipodalOptions`.
     """
     options = options or AntipodalOptions()
@@ -117,7 +122,8 @@ def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | No
         return Candidates(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     axes_of, positions, thetas = (np.concatenate(column) for column in zip(*parts, strict=True))
     rotations = axes_of @ frame.T
-    opened = np.minimum(thetas + options.margin * float(gripper.max_opening), float(gripper.upper))
+    spread = options.margin * float(gripper.max_opening) * reduce_gripper(gripper).travel
+    opened = np.minimum(thetas + spread, float(gripper.upper))
     hand = Hand(gripper)
     margins = np.full((len(hand.shapes), len(target.pieces)), options.finger_margin)
     margins[: hand.palms] = options.margin * float(gripper.max_opening)
@@ -196,9 +202,9 @@ def _about_axis(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frames (axis, approach, across), grasp centres and finger coordinates about one closing axis."""
     reduced = reduce_gripper(gripper)
-    corners = np.asarray(gripper.fingers[int(gripper.contact[0])].hull_vertices())
     approach_axis, width_axis = np.asarray(gripper.approach_axis), np.asarray(gripper.width_axis)
     sideways = np.cross(width_axis, approach_axis)
+    corners = _pad(gripper, float(finger_coordinate(gripper, np.ptp(cloud @ axis))))
     pad_low, pad_high = (corners @ approach_axis).min(), (corners @ approach_axis).max()
     pad_half = np.abs(corners @ sideways).max()
     palm = np.abs(np.asarray(gripper.palm[0].hull_vertices()) @ sideways).max()
@@ -227,7 +233,7 @@ def _about_axis(
                 if touched.sum() < 4:
                     continue
                 high, low = level[touched].max(), level[touched].min()
-                theta = 0.5 * (high - low)
+                theta = float(finger_coordinate(gripper, high - low))
                 if theta >= float(gripper.upper) or theta <= float(gripper.lower):
                     continue
                 center = 0.5 * (high + low) * axis + depth * approach + offset * across
@@ -244,6 +250,16 @@ def _about_axis(
         return np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0)
     deep = surface.depth(np.array(centers)) >= least - 1e-9
     return np.array(frames)[deep], np.array(centers)[deep], np.array(thetas)[deep]
+
+
+def _pad(gripper: Gripper, theta: float) -> Float[np.ndarray, "N 3"]:
+    """Corners of the face of a pad, of a round one as far round as a slanting side touches it, in the gripper frame."""
+    pad = gripper.fingers[int(gripper.contact[0])]
+    corners, radius = pad.hull_vertices(), float(pad.radius)
+    if radius > 0:
+        corners = (corners[:, None] + _ROUND * radius * np.vstack([np.eye(3), -np.eye(3)])).reshape(-1, 3)
+    twist = np.roll(np.asarray(gripper.screws)[0], 3)
+    return RigidTransform.from_exp_coords(theta * twist).apply(corners)
 
 
 def _steps(low: float, high: float, step: float) -> Float[np.ndarray, " n"]:

@@ -19,6 +19,7 @@ from regrasp_gym.benchmark.antipodal import AntipodalOptions, Candidates, sample
 from regrasp_gym.benchmark.reach import Reach, ReachOptions
 from regrasp_gym.benchmark.shapes import Posed, Shape, clear
 from regrasp_planner import Body, Robot, Task
+from regrasp_planner.scale import scaled_robot, scaled_task, shrink_factor
 from regrasp_planner.scene import Obstacle
 
 _WAYPOINTS = 3
@@ -86,21 +87,28 @@ class Verdict(NamedTuple):
 
 
 class Oracle:
-    """Judges tasks for one robot. What depends on the target alone is kept for the next task with it."""
+    """Judges tasks for one robot. What depends on the target alone is kept for the next task with it.
+
+    As the planner does, it works at the size at which the gripper opens 80 mm: its lengths are for that.
+    """
 
     def __init__(self, robot: Robot, options: OracleOptions | None = None) -> None:
         self.options = options or OracleOptions()
+        self._factor = shrink_factor(robot)
+        robot = scaled_robot(robot, self._factor)
         self.reach = Reach(robot, self.options.reach)
         self.clearance = (self.options.grasps.margin - self.options.slack) * float(robot.gripper.max_opening)
         self.approach_axis = np.asarray(robot.gripper.approach_axis)
         self._robot = robot
-        self._candidates: dict[str, Candidates] = {}
+        self._candidates: dict[bytes, Candidates] = {}
 
     def judge(self, task: Task) -> Verdict:
         """What can be done with one grasp; stops as soon as it is known."""
-        if task.target.name not in self._candidates:
-            self._candidates[task.target.name] = sample_grasps(task.target, self._robot.gripper, self.options.grasps)
-        grasps = self._candidates[task.target.name]
+        task = scaled_task(task, self._factor)
+        shape = task.target.hull_vertices().tobytes()
+        if shape not in self._candidates:
+            self._candidates[shape] = sample_grasps(task.target, self._robot.gripper, self.options.grasps)
+        grasps = self._candidates[shape]
         ends = [
             _End(self, grasps, task.target, scene.target_pose, scene.obstacles, height)
             for scene, height in ((task.pick, self.options.lift), (task.place, self.options.lower))

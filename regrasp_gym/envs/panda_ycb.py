@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,30 +13,9 @@ from regrasp_gym.reward import Tolerance
 from regrasp_gym.robots import panda
 from regrasp_gym.scenes.table_shelf import TableShelfConfig, make_scene
 
-if TYPE_CHECKING:
-    from regrasp_planner.robot import Robot
-
-
-def _planner_robot() -> Robot:
-    from regrasp_gym.robots.from_mjcf import robot_from_model
-
-    return robot_from_model(
-        panda.build_spec().compile(),
-        name="panda",
-        base="link0",
-        joints=panda.ARM_JOINTS,
-        tool_site=panda.TCP_SITE,
-        finger_joints=panda.FINGER_JOINTS,
-        pads=("left_pad_c", "right_pad_c"),
-        max_velocity=panda.MAX_VELOCITY,
-        max_acceleration=panda.MAX_ACCELERATION,
-        home=panda.HOME,
-    )
-
-
 PANDA = RobotSetup(
     build_spec=panda.build_spec,
-    planner_robot=_planner_robot,
+    planner_robot=panda.planner_robot,
     arm_joints=panda.ARM_JOINTS,
     arm_actuators=panda.ARM_ACTUATORS,
     finger_joints=panda.FINGER_JOINTS,
@@ -53,6 +32,8 @@ PANDA_YCB = Scenario(
     make_scene=make_scene,
     control_period=0.05,
     tolerance=Tolerance(position=0.025, rotation=float(np.deg2rad(15)), speed=0.01, turn_rate=0.2),
+    arrival=0.004,
+    pace=1.0,
     max_others=8,
     translation_step=0.02,
     rotation_step=0.1,

@@ -55,6 +55,9 @@ class Scenario:
         make_scene: (seed, config) → scene; config None stands for the default one.
         control_period: seconds per environment step.
         tolerance: when the target counts as placed.
+        arrival: largest joint error at which a motion counts as finished, radians.
+        pace: how much longer things take to come to rest than on a table-top: gravity moves what is ten times as large
+            √10 times as slowly.
         max_others: number of objects besides the target that observations have room for.
         translation_step: largest move of the gripper per step under ``ee_delta``, metres.
         rotation_step: largest turn of the gripper per step under ``ee_delta``, radians.
@@ -67,6 +70,8 @@ class Scenario:
     make_scene: Callable[[int, Any], Scene]
     control_period: float
     tolerance: Tolerance
+    arrival: float
+    pace: float
     max_others: int
     translation_step: float
     rotation_step: float

@@ -336,7 +336,7 @@ def _gap(
     _set_joints(model, data, fingers, theta * np.asarray(ratios))
     gap = mujoco.mj_geomDistance(model, data, pads[0], pads[1], 100.0, None)
     _set_joints(model, data, fingers, np.zeros(2))
-    return float(gap)
+    return round(float(gap), 9)
 
 
 def _stacked(parts: Sequence[_Part], data: mujoco.MjData, tool: jaxlie.SE3) -> ConvexBody:
