@@ -30,12 +30,17 @@ def _choose_renderer() -> None:
 
 
 def _register() -> None:
-    gymnasium.register(
-        id="regrasp_gym/PandaYCB-v0",
-        entry_point="regrasp_gym.envs.panda_ycb:PandaYCBEnv",
-        max_episode_steps=1000,
-        additional_wrappers=(WrapperSpec("GoalReward", "regrasp_gym.envs.wrappers:GoalReward", {}),),
-    )
+    entries = {
+        "PandaYCB-v0": ("panda_ycb:PandaYCBEnv", 1000),
+        "ExcavatorStones-v0": ("excavator_stones:ExcavatorStonesEnv", 2000),
+    }
+    for name, (entry_point, steps) in entries.items():
+        gymnasium.register(
+            id=f"regrasp_gym/{name}",
+            entry_point=f"regrasp_gym.envs.{entry_point}",
+            max_episode_steps=steps,
+            additional_wrappers=(WrapperSpec("GoalReward", "regrasp_gym.envs.wrappers:GoalReward", {}),),
+        )
 
 
 def __getattr__(name: str) -> object:

@@ -101,35 +101,128 @@ def speckled(
     return np.clip(np.array(colour) + noise, 0, 255).astype(np.uint8)
 
 
+def ground(
+    rng: np.random.Generator,
+    colour: tuple[int, int, int],
+    clods: float,
+    pebbles: int,
+    size: int = 256,
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Soil or gravel, seamless: patches, clods and pebbles, each pebble lit from one side.
+
+    Args:
+        rng: draws all of it.
+        colour: of the soil.
+        clods: contrast of patches and clods, in units of 255.
+        pebbles: how many of them.
+        size: edge length, pixels.
+    """
+    frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(size) * size] * 2))
+    frequency[0, 0] = np.inf
+    noise = np.real(np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) / frequency**1.1))
+    grain = rng.normal(0, 0.35, (size, size))
+    shade = clods * (noise / noise.std() + grain)
+    v, u = np.meshgrid(np.arange(size), np.arange(size), indexing="ij")
+    for _ in range(pebbles):
+        middle, radius = rng.uniform(0, size, 2), size * rng.uniform(0.004, 0.012)
+        tone, squeeze, angle = rng.normal(3, 10), rng.uniform(0.6, 1.0), rng.uniform(0, np.pi)
+        reach = int(radius / squeeze) + 2
+        # A pebble that sticks out on one side goes on at the other.
+        rows = (np.arange(int(middle[0]) - reach, int(middle[0]) + reach + 1)) % size
+        columns = (np.arange(int(middle[1]) - reach, int(middle[1]) + reach + 1)) % size
+        window = np.ix_(rows, columns)
+        y = (v[window] - middle[0] + size / 2) % size - size / 2
+        x = (u[window] - middle[1] + size / 2) % size - size / 2
+        along, across = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+        inside = along**2 * squeeze + across**2 / squeeze < radius**2
+        shade[window] = np.where(inside, tone - 9 * (x + y) / radius, shade[window])
+    return np.clip(np.array(colour) + shade[..., None], 0, 255).astype(np.uint8)
+
+
 MATERIALS: dict[str, Material] = {
     "table": Material(lambda rng: wood(rng, (214, 178, 132), (166, 122, 78)), 2.0),
     "shelf": Material(lambda rng: wood(rng, (242, 236, 226), (214, 203, 186)), 3.0),
     "floor": Material(lambda rng: speckled(rng, (150, 156, 164)), 1.0),
     "acrylic": Material(rgba=(0.8, 0.9, 0.95, 0.22), specular=0.6, shininess=0.8),
+    "earth": Material(lambda rng: ground(rng, (128, 113, 94), 9.0, 260), 0.5, specular=0.0, shininess=0.0),
+    "gravel": Material(lambda rng: ground(rng, (150, 146, 138), 6.0, 1500), 0.4, specular=0.0, shininess=0.0),
+    "plain": Material(lambda rng: ground(rng, (150, 148, 128), 4.0, 0), 0.06, specular=0.0, shininess=0.0),
 }
 """What fixtures may be made of."""
 
 
-def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float) -> None:
-    """Add light, sky, floor, materials and cameras to a specification, in place."""
+@dataclass(frozen=True)
+class Setting:
+    """Where a scene is: how large it is, and what it is lit and surrounded by.
+
+    Attributes:
+        extent: size of the scene in units of the Panda's table, which light, shadows, floor and clipping go by; metres.
+        center: middle of what is seen, metres, world.
+        lamp: position of the lamp at ``extent`` 1, multiplied with it.
+        light: direction in which the lamp shines.
+        diffuse: colour of the lamp.
+        shadow_size: edge of the shadow map, pixels.
+        sky: colours of the sky at the zenith and at the nadir.
+        floor: material of the floor.
+        materials: those that are at hand for fixtures, keys of `MATERIALS`.
+    """
+
+    extent: float = 1.0
+    center: tuple[float, float, float] = (0.4, 0.0, 0.2)
+    lamp: tuple[float, float, float] = (0.1, -0.7, 1.9)
+    light: tuple[float, float, float] = (0.18, 0.42, -1.0)
+    diffuse: tuple[float, float, float] = (0.55, 0.54, 0.5)
+    shadow_size: int = SHADOW_SIZE
+    sky: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.9, 0.93, 0.96), (0.7, 0.74, 0.78))
+    floor: str = "floor"
+    materials: tuple[str, ...] = ("table", "shelf", "floor", "acrylic")
+
+
+TABLE_TOP = Setting()
+"""A table in a room."""
+
+SITE = Setting(
+    extent=10.0,
+    center=(4.0, 0.0, 0.5),
+    light=(0.45, 0.5, -1.0),
+    lamp=(-0.375, -0.75, 1.5),
+    diffuse=(0.64, 0.62, 0.57),
+    shadow_size=1024,
+    sky=((0.55, 0.7, 0.88), (0.86, 0.9, 0.93)),
+    floor="plain",
+    materials=("earth", "gravel", "plain"),
+)
+"""A building site of some 20 m in the open."""
+
+
+def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float, setting: Setting = TABLE_TOP) -> None:
+    """Add light, sky, floor, materials and cameras to a specification, in place.
+
+    Args:
+        spec: the specification.
+        cameras: fixed in the world.
+        floor_height: metres. Nothing may lie at exactly this height, or it flickers.
+        setting: surroundings, and the scale of the whole.
+    """
+    size = setting.extent
     visual = spec.visual
     visual.headlight.ambient = [0.38, 0.38, 0.4]
     visual.headlight.diffuse = [0.3, 0.3, 0.3]
     visual.headlight.specular = [0.05, 0.05, 0.05]
-    visual.quality.shadowsize = SHADOW_SIZE
+    visual.quality.shadowsize = setting.shadow_size
     visual.quality.offsamples = 0
     # Clipping planes in units of the extent, which is set so that they do not change with the objects.
-    spec.stat.extent = 1.0
-    spec.stat.center = [0.4, 0.0, 0.2]
+    spec.stat.extent = size
+    spec.stat.center = setting.center
     visual.map.znear = 0.02
     visual.map.zfar = 12.0
     visual.map.shadowclip = 1.2
     spec.worldbody.add_light(
         name="lamp",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0.1, -0.7, 1.9],
-        dir=[0.18, 0.42, -1.0],
-        diffuse=[0.55, 0.54, 0.5],
+        pos=[size * x for x in setting.lamp],
+        dir=setting.light,
+        diffuse=setting.diffuse,
         specular=[0.2, 0.2, 0.2],
         castshadow=True,
     )
@@ -137,12 +230,13 @@ def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float) -
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.9, 0.93, 0.96],
-        rgb2=[0.7, 0.74, 0.78],
+        rgb1=setting.sky[0],
+        rgb2=setting.sky[1],
         width=64,
         height=64 * 6,
     )
-    for name, material in MATERIALS.items():
+    for name in setting.materials:
+        material = MATERIALS[name]
         made = spec.add_material(
             name=name,
             rgba=material.rgba,
@@ -161,9 +255,9 @@ def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float) -
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[8, 8, 20],
+        size=[8 * size, 8 * size, 20],
         pos=[0, 0, floor_height],
-        material="floor",
+        material=setting.floor,
         group=2,
     )
     for camera in cameras:

@@ -114,6 +114,9 @@ def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | No
     rng = np.random.default_rng(0)
     surface = _Surface(target)
     axes = _closing_axes(surface, rng, float(gripper.max_opening), options)
+    if any(float(gripper.fingers[int(k)].radius) > 0 for k in gripper.contact):
+        # Against a round pad a corner is held as well as a side.
+        axes = _spread(np.concatenate([axes, surface.normals]), options.axis_step)
     cloud = surface.cloud(rng, options.cloud)
     parts = [_about_axis(axis, cloud, surface, gripper, options) for axis in axes]
     frame = np.stack([np.asarray(gripper.width_axis), np.asarray(gripper.approach_axis)], axis=1)
@@ -140,6 +143,7 @@ class _Surface:
         self.center_of_mass = np.asarray(target.center_of_mass, float)
         self.hulls = [qhull(piece.hull_vertices()) for piece in target.pieces]
         self.planes = [hull.equations for hull in self.hulls]
+        self.normals = np.concatenate([planes[:, :3] for planes in self.planes])
 
     def depth(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
         """How deep points lie in the piece they are deepest in, metres; negative outside."""
@@ -190,9 +194,14 @@ def _closing_axes(
     taken = (width > 0) & (width < opening) & ((-normals * far).sum(1) > np.cos(options.cone))
     between = far[taken] - normals[taken]
     axes = np.concatenate([-normals[taken], between / np.linalg.norm(between, axis=1, keepdims=True)])
+    return _spread(axes, options.axis_step)
+
+
+def _spread(axes: Float[np.ndarray, "m 3"], step: float) -> Float[np.ndarray, "k 3"]:
+    """Of axes nearer to each other than ``step`` radians the first."""
     chosen: list[np.ndarray] = []
     for axis in axes:
-        if all(abs(axis @ other) < np.cos(options.axis_step) for other in chosen):
+        if all(abs(axis @ other) < np.cos(step) for other in chosen):
             chosen.append(axis)
     return np.array(chosen).reshape(-1, 3)
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_gym.rendering import Camera
+from regrasp_gym.rendering import TABLE_TOP, Camera, Setting
 from regrasp_gym.reward import Tolerance
 from regrasp_gym.scenes.scene import Scene
 
@@ -64,6 +64,7 @@ class Scenario:
         cameras: cameras fixed in the world; the robot's specification may bring more.
         pixels: names of the cameras in observations with pixels.
         floor_height: of the floor, metres.
+        setting: what the scenes are lit and surrounded by.
     """
 
     robot: RobotSetup
@@ -78,3 +79,4 @@ class Scenario:
     cameras: tuple[Camera, ...]
     pixels: tuple[str, ...]
     floor_height: float
+    setting: Setting = TABLE_TOP

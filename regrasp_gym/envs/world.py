@@ -33,7 +33,7 @@ def base_spec(scenario: Scenario, *, buffer_width: int, buffer_height: int) -> m
     """
     spec = scenario.robot.build_spec()
     physics.configure(spec)
-    rendering.dress(spec, scenario.cameras, scenario.floor_height)
+    rendering.dress(spec, scenario.cameras, scenario.floor_height, scenario.setting)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = buffer_width, buffer_height
     return spec
 

@@ -1,0 +1,257 @@
+"""Random quarry stones: convex polyhedra with flat facets to rest on, a function of a seed and a `StoneConfig`.
+
+A stone is the intersection of half-spaces whose planes touch a random superellipsoid, or cut a little off it. Half a
+tonne is typical of dry stone walls built by excavators: Johns et al., "A framework for robotic excavation and dry stone
+construction using on-site materials", Science Robotics 2023, doi 10.1126/scirobotics.abp9758. The density is granite's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+from regrasp_gym.errors import SceneError
+from regrasp_gym.objects.model import ObjectModel, solid
+from regrasp_gym.objects.stone_looks import TONES, rough_stone
+
+KINDS = ("slab", "block", "wedge", "boulder")
+"""Shapes that stones come in."""
+
+VERTEX_RANGE = (12, 60)
+"""Least and most corners of a stone."""
+
+FRICTION = 0.7
+"""Sliding friction of stone on stone; dry rock joints have 0.6 to 0.85 (Byerlee, Pure Appl. Geophys. 1978)."""
+
+_SMALLEST_FACET = 0.012
+"""Share of the surface below which a facet is left out: nothing rests on it, and its edges would be short."""
+
+_TRIES = 200
+
+
+@dataclass(frozen=True)
+class StoneConfig:
+    """What stones are like. Lengths in metres, masses in kilograms, ranges inclusive.
+
+    Attributes:
+        kinds: shapes to draw from, of `KINDS`, all equally often.
+        mass: least and greatest; drawn evenly between, then the stone is scaled to it.
+        density: kg/m³.
+        least_width: least and greatest distance of the two nearest parallel planes that hold the stone.
+        largest_extent: greatest distance of two of its corners.
+    """
+
+    kinds: tuple[str, ...] = KINDS
+    mass: tuple[float, float] = (150.0, 950.0)
+    density: float = 2600.0
+    least_width: tuple[float, float] = (0.3, 0.95)
+    largest_extent: float = 1.5
+
+    def __post_init__(self) -> None:
+        if not self.kinds or not set(self.kinds) <= set(KINDS):
+            raise SceneError(f"kinds is {self.kinds}; give some of {', '.join(KINDS)}")
+        for name in ("mass", "least_width"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high:
+                raise SceneError(f"{name} is {(low, high)}; give the least and the greatest, more than 0")
+        for name in ("density", "largest_extent"):
+            if getattr(self, name) <= 0:
+                raise SceneError(f"{name} is {getattr(self, name)}; it has to be more than 0")
+
+
+def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", tone: str | None = None) -> ObjectModel:
+    """The stone of a seed.
+
+    Args:
+        seed: a non-negative integer. The shape depends on it and on ``config`` alone.
+        config: the default one if None.
+        name: name of the object.
+        tone: colour, one of `regrasp_gym.objects.stone_looks.TONES`, drawn if None; its label is ``f"{tone} stone"``.
+
+    Returns:
+        An object of one convex piece with 12 to 60 corners, origin at the centre of mass.
+
+    Raises:
+        SceneError: negative seed, unknown tone, or no stone within the limits of ``config`` was found.
+    """
+    config = config or StoneConfig()
+    if seed < 0:
+        raise SceneError(f"stone seed is {seed}; give a non-negative integer")
+    rng = np.random.default_rng([seed, 0x570E])
+    (look_rng,) = rng.spawn(1)
+    drawn = str(look_rng.choice(list(TONES)))
+    tone = tone or drawn
+    if tone not in TONES:
+        raise SceneError(f"unknown tone {tone!r}; the tones are {', '.join(TONES)}")
+    for _ in range(_TRIES):
+        mass = rng.uniform(*config.mass)
+        made = _polyhedron(_planes(rng, str(rng.choice(config.kinds))), mass / config.density)
+        if made is None:
+            continue
+        corners, facets = made
+        if _within(corners, facets.normals, config):
+            break
+    else:
+        raise SceneError(
+            f"no stone of seed {seed} with mass {config.mass} kg has its least width in {config.least_width} m and a "
+            f"largest extent of at most {config.largest_extent} m; widen these"
+        )
+    look = rough_stone(look_rng, facets.triangles, facets.normals[facets.facet], tone)
+    return solid(name, f"{tone} stone", mass, [corners], looks=[look], rgba=look.rgba, friction=FRICTION)
+
+
+def _within(corners: np.ndarray, normals: np.ndarray, config: StoneConfig) -> bool:
+    width = np.ptp(corners @ normals.T, axis=0).min()
+    extent = np.linalg.norm(corners[:, None] - corners, axis=2).max()
+    low, high = config.least_width
+    return bool(low <= width <= high and extent <= config.largest_extent) and (
+        VERTEX_RANGE[0] <= len(corners) <= VERTEX_RANGE[1]
+    )
+
+
+def _planes(rng: np.random.Generator, kind: str) -> Float[np.ndarray, "F 4"]:
+    """Half-spaces n·x + d ≤ 0 about the origin, rows (n, d), in units of the largest half axis."""
+    if kind == "boulder":
+        axes = np.array([1.0, rng.uniform(0.72, 1.0), rng.uniform(0.58, 0.9)])
+        normals = _spread(rng, int(rng.integers(15, 27)), 0.25)
+        reach = _support(normals, axes, rng.uniform(2.0, 3.2)) * rng.uniform(0.93, 1.0, len(normals))
+        return np.column_stack([normals, -reach])
+    flat = {"slab": (0.36, 0.55), "block": (0.6, 0.95), "wedge": (0.55, 0.85)}[kind]
+    axes = np.array([1.0, rng.uniform(0.62, 0.98), rng.uniform(*flat)])
+    jitter = np.tile([0.12, 0.12, 0.05], 2)[:, None]
+    sides = np.concatenate([np.eye(3), -np.eye(3)]) + jitter * rng.normal(size=(6, 3))
+    if kind == "wedge":
+        turn, lean = rng.uniform(0, 2 * np.pi), np.tan(rng.uniform(0.2, 0.45))
+        sides[2, :2] += lean * np.array([np.cos(turn), np.sin(turn)])
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    distance = np.abs(sides * axes).max(axis=1)
+    # What breaks off is edges and corners: planes at a slant to the sides, a little inside the box's corners.
+    chips = _spread(rng, int(rng.integers(7, 15)), 0.5)
+    chips = chips[np.abs(chips).max(axis=1) < 0.93]
+    cut = _support(chips, axes, np.inf) * rng.uniform(0.7, 0.93, len(chips))
+    return np.column_stack([np.concatenate([sides, chips]), -np.concatenate([distance, cut])])
+
+
+def _support(normals: np.ndarray, axes: np.ndarray, exponent: float) -> Float[np.ndarray, " F"]:
+    """Support function of the superellipsoid Σ|xᵢ/aᵢ|^p = 1: the dual norm of a∘n, for p = ∞ that of a box."""
+    dual = 1.0 if np.isinf(exponent) else exponent / (exponent - 1)
+    return np.linalg.norm(normals * axes, ord=dual, axis=1)
+
+
+def _spread(rng: np.random.Generator, count: int, jitter: float) -> Float[np.ndarray, "count 3"]:
+    """Unit directions spread over the sphere (Fibonacci), each moved a little, all turned at random."""
+    k = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    radius = np.sqrt(1 - z**2)
+    directions = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    directions = directions @ turn.T + jitter * rng.normal(size=(count, 3)) * np.sqrt(4 / count)
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _polyhedron(planes: np.ndarray, volume: float) -> tuple[np.ndarray, Facets] | None:
+    """Corners and facets of the intersection without its smallest facets, at the given volume, m³."""
+    for _ in range(4):
+        corners = HalfspaceIntersection(planes, np.zeros(3)).intersections
+        facets = find_facets(corners)
+        if facets is None:
+            return None
+        share = facets.areas / facets.areas.sum()
+        if share.min() >= _SMALLEST_FACET:
+            scale = (volume / facets.volume) ** (1 / 3)
+            return corners * scale, facets.scaled(scale)
+        large = facets.normals[share >= _SMALLEST_FACET]
+        planes = planes[(planes[:, :3] @ large.T).max(axis=1) > 1 - 1e-9]
+        if len(planes) < 6:
+            return None
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """The facets of a convex polyhedron, as triangles from each of their edges to their middle.
+
+    Attributes:
+        normals: (F, 3) unit outward normals.
+        facet: (T,) which facet a triangle belongs to.
+        triangles: (T, 3, 3) start and end of an edge, counter-clockwise from outside, and the facet's middle, metres.
+    """
+
+    normals: Float[np.ndarray, "F 3"]
+    facet: Int[np.ndarray, " T"]
+    triangles: Float[np.ndarray, "T 3 3"]
+
+    @cached_property
+    def areas(self) -> Float[np.ndarray, " F"]:
+        """(F,) square metres."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return np.bincount(self.facet, 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+    @cached_property
+    def volume(self) -> float:
+        """Cubic metres; the origin has to be inside."""
+        return float(np.linalg.det(self.triangles).sum() / 6)
+
+    @cached_property
+    def solid_angles(self) -> Float[np.ndarray, " F"]:
+        """(F,) from the origin, as shares of the sphere (Van Oosterom and Strackee, IEEE T-BME 1983)."""
+        unit = self.triangles / np.linalg.norm(self.triangles, axis=2, keepdims=True)
+        a, b, c = np.moveaxis(unit, 1, 0)
+        below = 1 + (a * b).sum(axis=1) + (b * c).sum(axis=1) + (a * c).sum(axis=1)
+        return np.bincount(self.facet, 2 * np.arctan2(np.linalg.det(unit), below)) / (4 * np.pi)
+
+    @cached_property
+    def margins(self) -> Float[np.ndarray, " F"]:
+        """(F,) distance (metres) of the origin, moved along the normal, from a facet's nearest edge; < 0 outside."""
+        a, b, _ = np.moveaxis(self.triangles, 1, 0)
+        inward = np.cross(self.normals[self.facet], b - a)
+        clearance = -(inward * a).sum(axis=1) / np.linalg.norm(inward, axis=1)
+        margins = np.full(len(self.normals), np.inf)
+        np.minimum.at(margins, self.facet, clearance)
+        return margins
+
+    @cached_property
+    def shortest_edges(self) -> Float[np.ndarray, " F"]:
+        """(F,) length of the shortest edge of each facet, metres."""
+        shortest = np.full(len(self.normals), np.inf)
+        np.minimum.at(shortest, self.facet, np.linalg.norm(self.triangles[:, 1] - self.triangles[:, 0], axis=1))
+        return shortest
+
+    def corners(self, facet: int) -> Float[np.ndarray, "K 3"]:
+        """(K, 3) corners of a facet, counter-clockwise from outside."""
+        triangles = self.triangles[self.facet == facet]
+        a, _, middle = triangles[0]
+        across = (a - middle) / np.linalg.norm(a - middle)
+        along = np.cross(self.normals[facet], across)
+        spokes = triangles[:, 0] - middle
+        return triangles[np.argsort(np.arctan2(spokes @ along, spokes @ across)), 0]
+
+    def scaled(self, factor: float) -> Facets:
+        """The same polyhedron scaled about the origin."""
+        return Facets(self.normals, self.facet, self.triangles * factor)
+
+
+def find_facets(points: Float[np.ndarray, "N 3"]) -> Facets | None:
+    """The facets of the hull of points that are all its corners; None if some are not."""
+    hull = ConvexHull(points)
+    if len(hull.vertices) != len(points):
+        return None
+    # Qhull splits facets into triangles, which have the same plane but for rounding.
+    same = np.abs(hull.equations[:, None] - hull.equations).max(axis=2) < 1e-7
+    first, part = np.unique(same.argmax(axis=1), return_inverse=True)
+    normals = hull.equations[first, :3]
+    # The neighbour k of a triangle is across the edge opposite to its corner k.
+    which, k = np.nonzero(part[hull.neighbors] != part[:, None])
+    starts, ends = hull.simplices[which, (k + 1) % 3], hull.simplices[which, (k + 2) % 3]
+    facet = part[which]
+    count = np.bincount(facet)[:, None]
+    middles = np.column_stack([np.bincount(facet, points[starts, i] + points[ends, i]) for i in range(3)]) / (2 * count)
+    triangles = np.stack([points[starts], points[ends], middles[facet]], axis=1)
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    inward = (np.cross(b - a, c - a) * normals[facet]).sum(axis=1) < 0
+    triangles[inward, :2] = triangles[inward, 1::-1]
+    return Facets(normals, facet, triangles)

@@ -1,0 +1,452 @@
+"""Scenes of the excavator scenario: stones on two slopes, a goal among or on the stones of the other slope.
+
+A scene is a function of a seed and a `SlopesConfig`, and of nothing else. The swing axis is the world's z axis, the
+machine looks along x, level ground is z = 0. Everything is placed by geometry; nothing is simulated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+
+from regrasp_gym.errors import SceneError
+from regrasp_gym.objects.model import ObjectModel
+from regrasp_gym.objects.stone_looks import TONES
+from regrasp_gym.objects.stones import FRICTION, StoneConfig, stone
+from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
+from regrasp_gym.scenes.slope_resting import (
+    Lying,
+    Plane,
+    Seat,
+    clearance,
+    plane_frame,
+    seats,
+    slide_apart,
+    to_pose,
+    turn,
+    turning_down,
+)
+
+MAX_OTHERS = 10
+"""Most stones besides the target: what observations have room for."""
+
+_DRAWS = 48
+"""Random placements tried at once for one stone."""
+
+_STONES = 6
+"""Stones tried for one place before a scene has to do with fewer."""
+
+_TARGETS = 12
+"""Targets tried before a config counts as impossible."""
+
+_RANGES = (
+    "pick_azimuth",
+    "place_azimuth",
+    "slope_distance",
+    "inclination",
+    "downhill",
+    "lift",
+    "pick_stones",
+    "place_stones",
+    "pick_gap",
+    "goal_gap",
+    "goal_yaw",
+)
+
+
+@dataclass(frozen=True)
+class SlopesConfig:
+    """Everything about the scenes that can be tuned. Lengths in metres, angles in radians, ranges inclusive.
+
+    Attributes:
+        target: what the stone to be moved is like.
+        stones: what the others are like.
+        base: what the stone is like that the target is to be put on.
+        pick_stones: least and most stones on the pick slope besides the target.
+        place_stones: least and most stones on the place slope, the one under the goal among them. Together with
+            ``pick_stones`` at most `MAX_OTHERS`.
+        pick_azimuth, place_azimuth: of the middle of the slopes, about z from the machine's x axis.
+        slope_distance: of the middle of a slope from the swing axis.
+        inclination: of a slope.
+        downhill: direction in which a slope falls, seen from above, counted from the way to the machine: 0 falls
+            towards the machine, ±π away from it.
+        lift: height above the ground of the lowest point of the disc that stones lie on.
+        slope_size: edge length of the slope's top face.
+        slope_thickness: of its box, most of it under the ground.
+        slope_radius: of the disc about the middle of a slope that all stones on it keep inside, seen along its normal.
+        target_spread, goal_spread: largest distance of the target's start, or of a goal on the slope itself, from the
+            middle of the slope (of the foot of its centre of mass).
+        pick_gap: range of gaps on the pick slope. One is drawn for each stone; it is pushed towards the target from a
+            random side until this near to it or to a stone on the way, seen along the slope's normal.
+        goal_gap: likewise on the place slope, towards the goal. Small gaps leave the gripper little room.
+        landing_weight: a stone's facet to lie on is drawn with the facet's solid angle, seen from the centre of mass,
+            to this power: 1 is near to how stones fall, 0 is all alike.
+        goal_landing_weight: likewise for the target at its goal where this is not on the facet it starts on.
+        same_side: probability that the target is to lie on the facet that it lies on at the start. Seldom more come
+            out, where no other facet will do.
+        goal_yaw: range of the turn, to a random side, between start and goal as the machine sees it, that is about
+            the slope's normal and in frames whose x axes point away from the machine. With another facet down the
+            stone is first rolled onto it by the least turn.
+        on_top: probability that the goal is on another stone. Seldom fewer come out, where no stone fits.
+        top_inclination: steepest facet of a stone that a goal may be on.
+        top_height: greatest height above the ground of the middle of that facet.
+        rest_margin: least distance from the edge of the supporting facet of where gravity through a stone's centre of
+            mass meets the plane that it lies on.
+        top_margin: likewise for a goal on a stone, from the edge of what both facets share, and for that stone under
+            its load.
+        max_opening: of the gripper; as the target lies, at the start and at the goal, it is no wider than this minus
+            ``opening_margin`` between some two planes along the slope's normal.
+        opening_margin: see ``max_opening``.
+        release_center, release_size: flat patch of ground that is kept free, middle and full size.
+        ground_size: edge length of the ground.
+    """
+
+    target: StoneConfig = field(default_factory=StoneConfig)
+    stones: StoneConfig = field(default_factory=StoneConfig)
+    base: StoneConfig = field(default_factory=lambda: StoneConfig(kinds=("slab", "block"), mass=(450.0, 950.0)))
+    pick_stones: tuple[int, int] = (2, 5)
+    place_stones: tuple[int, int] = (2, 5)
+    pick_azimuth: tuple[float, float] = (-1.26, -1.01)
+    place_azimuth: tuple[float, float] = (1.01, 1.26)
+    slope_distance: tuple[float, float] = (6.15, 6.45)
+    inclination: tuple[float, float] = (0.09, 0.31)
+    downhill: tuple[float, float] = (-1.6, 1.6)
+    lift: tuple[float, float] = (0.03, 0.15)
+    slope_size: float = 4.0
+    slope_thickness: float = 2.0
+    slope_radius: float = 1.8
+    target_spread: float = 0.5
+    goal_spread: float = 0.5
+    pick_gap: tuple[float, float] = (0.1, 0.4)
+    goal_gap: tuple[float, float] = (0.1, 0.4)
+    landing_weight: float = 1.0
+    goal_landing_weight: float = 1.0
+    same_side: float = 0.3
+    goal_yaw: tuple[float, float] = (0.0, np.pi)
+    on_top: float = 0.32
+    top_inclination: float = 0.26
+    top_height: float = 1.6
+    rest_margin: float = 0.06
+    top_margin: float = 0.06
+    max_opening: float = 1.2
+    opening_margin: float = 0.25
+    release_center: tuple[float, float] = (6.3, 0.0)
+    release_size: tuple[float, float] = (3.2, 3.2)
+    ground_size: float = 40.0
+
+    def __post_init__(self) -> None:
+        for name in _RANGES:
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise SceneError(f"{name} is {(low, high)}; give the least, then the greatest")
+        for name in ("pick_stones", "place_stones", "pick_gap", "goal_gap", "inclination"):
+            if getattr(self, name)[0] < 0:
+                raise SceneError(f"{name} is {getattr(self, name)}; it cannot be less than 0")
+        for name in ("same_side", "on_top"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise SceneError(f"{name} is {getattr(self, name)}; it is a probability, from 0 to 1")
+        if self.pick_stones[1] + self.place_stones[1] > MAX_OTHERS:
+            raise SceneError(
+                f"pick_stones {self.pick_stones} and place_stones {self.place_stones} may be more than {MAX_OTHERS} "
+                "together; lower one of them"
+            )
+        if self.on_top > 0 and self.place_stones[0] < 1:
+            raise SceneError(
+                f"place_stones is {self.place_stones} with on_top {self.on_top}; a goal on a stone needs one"
+            )
+        for name in ("inclination", "top_inclination"):
+            steepest = float(np.max(getattr(self, name)))
+            if np.tan(steepest) > 0.8 * FRICTION:
+                raise SceneError(f"{name} is up to {steepest:.2f} rad; stones slide from {np.arctan(FRICTION):.2f} rad")
+
+
+@dataclass(frozen=True, eq=False)
+class SlopesScene:
+    """One scene: pure data.
+
+    Attributes:
+        seed, config: what it was made from.
+        target: the stone to be moved and where it starts.
+        goal_pose: (7,) where it is to come to rest.
+        pick_stones: the other stones on the pick slope.
+        place_stones: the stones on the place slope.
+        base: name of the stone that the goal is on, or None if it is on the slope.
+        same_side: whether the target lies on the same facet at the start and at the goal.
+        fixtures: ground and slopes.
+        release: the free patch of ground.
+    """
+
+    seed: int
+    config: SlopesConfig
+    target: PlacedObject
+    goal_pose: Pose
+    pick_stones: tuple[PlacedObject, ...]
+    place_stones: tuple[PlacedObject, ...]
+    base: str | None
+    same_side: bool
+    fixtures: tuple[Fixture, ...]
+    release: ReleasePatch
+
+    @property
+    def others(self) -> tuple[PlacedObject, ...]:
+        """All stones but the target."""
+        return self.pick_stones + self.place_stones
+
+    @property
+    def instruction(self) -> str:
+        """The task in words."""
+        where = "the left slope"
+        for thing in self.place_stones:
+            if thing.name == self.base:
+                where = f"the {thing.model.label} on the left slope"
+        return f"put the {self.target.model.label} on {where}"
+
+
+def make_scene(seed: int, config: SlopesConfig | None = None) -> SlopesScene:
+    """The scene of a seed.
+
+    No other stone has the target's tone of colour, and none on the place slope that of the stone under the goal, so
+    that the instruction names one stone each. Where no place is found for a stone in a bounded number of tries there
+    are fewer: a scene comes out for every seed.
+
+    Args:
+        seed: a non-negative integer.
+        config: the default one if None.
+
+    Raises:
+        SceneError: negative seed, or no target or goal that the config allows was found; the message names the field.
+    """
+    config = config or SlopesConfig()
+    if seed < 0:
+        raise SceneError(f"scene seed is {seed}; give a non-negative integer")
+    rng = np.random.default_rng([seed, 0x5709E])
+    # Streams of their own: what lies on one slope does not change the other slope.
+    pick_rng, place_rng = rng.spawn(2)
+    tones = [str(tone) for tone in rng.permutation(list(TONES))]
+    pick = _Slope.drawn(rng, "pick_slope", config.pick_azimuth, config)
+    place = _Slope.drawn(rng, "place_slope", config.place_azimuth, config)
+    start, goal, base = _target_and_goal(rng, pick, place, tones, config)
+    pick.put(start)
+
+    n_pick = int(pick_rng.integers(config.pick_stones[0], config.pick_stones[1] + 1))
+    n_place = int(place_rng.integers(config.place_stones[0], config.place_stones[1] + 1))
+    first = 1 if base is None else 2
+    last = first + n_pick
+    pick.surround(pick_rng, [f"stone_{k}" for k in range(first, last)], config.pick_gap, tones[1:])
+    names = [f"stone_{k}" for k in range(last, last + n_place - len(place.stones))]
+    place.surround(place_rng, names, config.goal_gap, tones[first:])
+    return SlopesScene(
+        seed=int(seed),
+        config=config,
+        target=start.object,
+        goal_pose=goal.pose,
+        pick_stones=tuple(pick.stones),
+        place_stones=tuple(place.stones),
+        base=None if base is None else base.model.name,
+        same_side=goal.seat is start.seat,
+        fixtures=(_ground(config), pick.fixture, place.fixture),
+        release=ReleasePatch(np.array([*config.release_center, 0.0]), np.array(config.release_size) / 2),
+    )
+
+
+class _Slope:
+    """An inclined surface, and what lies on it."""
+
+    def __init__(self, name: str, plane: Plane, outward: np.ndarray, config: SlopesConfig) -> None:
+        self.name, self.plane, self.outward, self.config = name, plane, outward, config
+        self.stones: list[PlacedObject] = []
+        self.taken: list[np.ndarray] = []
+        self.middle = np.zeros(2)
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, name: str, azimuth: tuple[float, float], config: SlopesConfig) -> _Slope:
+        where, distance = rng.uniform(*azimuth), rng.uniform(*config.slope_distance)
+        inclination, falling = rng.uniform(*config.inclination), where + np.pi + rng.uniform(*config.downhill)
+        height = rng.uniform(*config.lift) + config.slope_radius * np.sin(inclination)
+        outward = np.array([np.cos(where), np.sin(where), 0.0])
+        across = np.sin(inclination)
+        normal = np.array([across * np.cos(falling), across * np.sin(falling), np.cos(inclination)])
+        return cls(name, Plane(plane_frame(normal, outward), distance * outward + [0.0, 0.0, height]), outward, config)
+
+    @property
+    def fixture(self) -> Fixture:
+        size = self.config.slope_size, self.config.slope_size, self.config.slope_thickness
+        middle = self.plane.origin - self.config.slope_thickness / 2 * self.plane.rotation[:, 2]
+        return Fixture(self.name, np.array(size), to_pose(self.plane.rotation, middle), "earth", support=True)
+
+    def put(self, placed: Lying, *more: np.ndarray) -> None:
+        """Cover what the stone and ``more`` points in the world cover; the next stones gather around it."""
+        points = np.concatenate([placed.footprint, *(self.plane.to_plane(points)[:, :2] for points in more)])
+        self.taken.append(points[ConvexHull(points).vertices])
+        self.middle = placed.position[:2]
+
+    def near_middle(
+        self, rng: np.random.Generator, model: ObjectModel, seat: Seat, spread: float, yaws: np.ndarray
+    ) -> Lying | None:
+        """The stone on this facet at the first of the turns at which it is stable, near the middle of the slope."""
+        radius, azimuth = spread * np.sqrt(rng.random(len(yaws))), rng.uniform(-np.pi, np.pi, len(yaws))
+        positions = radius[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+        return self._first(model, seat, yaws, positions)
+
+    def surround(self, rng: np.random.Generator, names: list[str], gap: tuple[float, float], tones: list[str]) -> None:
+        """Push stones of these names towards the middle of what is there, from random sides, as long as they fit."""
+        for name in names:
+            for _ in range(_STONES):
+                model = stone(_seed(rng), self.config.stones, name, str(rng.choice(tones)))
+                choice = seats(model)
+                if not choice:
+                    continue
+                seat = choice[_order(rng, choice, self.config.landing_weight)[0]]
+                azimuth, yaws = rng.uniform(-np.pi, np.pi, (2, _DRAWS))
+                ways = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+                moving = np.einsum("tij,kj->tki", turn(yaws), seat.footprint) + self.middle
+                least = rng.uniform(*gap)
+                slid = np.max([slide_apart(moving, ways, other, least) for other in self.taken], axis=0)
+                placed = self._first(model, seat, yaws, self.middle + slid[:, None] * ways)
+                if placed is not None:
+                    self.taken.append(placed.footprint)
+                    self.stones.append(placed.object)
+                    break
+
+    def _first(self, model: ObjectModel, seat: Seat, yaws: np.ndarray, positions: np.ndarray) -> Lying | None:
+        """The first of the placements that is stable and inside the disc."""
+        footprints = np.einsum("tij,kj->tki", turn(yaws), seat.footprint) + positions[:, None]
+        good = np.linalg.norm(footprints, axis=2).max(axis=1) <= self.config.slope_radius
+        good &= seat.margin(yaws, self.plane.fall) >= self.config.rest_margin
+        if not good.any():
+            return None
+        k = int(good.argmax())
+        return Lying(model, seat, self.plane, float(yaws[k]), np.array([*positions[k], seat.height]))
+
+
+def _target_and_goal(
+    rng: np.random.Generator, pick: _Slope, place: _Slope, tones: list[str], config: SlopesConfig
+) -> tuple[Lying, Lying, Lying | None]:
+    """The target at its start and at its goal, and the stone under the goal if there is one."""
+    same, on_top = rng.random() < config.same_side, rng.random() < config.on_top
+    limit = config.max_opening - config.opening_margin
+    start = None
+    for attempt in range(2 * _TARGETS):
+        # Better another target than a goal of another kind than was drawn, for a while.
+        lenient = attempt >= _TARGETS
+        model = stone(_seed(rng), config.target, "stone_0", tones[0])
+        choice = [seat for seat in seats(model) if seat.width <= limit]
+        if not choice:
+            continue
+        first = choice[_order(rng, choice, config.landing_weight)[0]]
+        start = pick.near_middle(rng, model, first, config.target_spread, rng.uniform(-np.pi, np.pi, _DRAWS)) or start
+        if start is None or start.model is not model:
+            continue
+        others = [choice[k] for k in _order(rng, choice, config.goal_landing_weight) if choice[k] is not first]
+        wanted = [first] if same else others
+        for_goal = wanted + [seat for seat in choice if seat not in wanted] if lenient else wanted
+        if on_top:
+            stacked = _goal_on_stone(rng, start, for_goal, place, tones[1], config)
+            if stacked is not None:
+                return start, *stacked
+        if not on_top or lenient:
+            for seat in for_goal:
+                goal = place.near_middle(rng, model, seat, config.goal_spread, _goal_yaws(rng, start, seat, config))
+                if goal is not None:
+                    place.put(goal)
+                    return start, goal, None
+    if start is None:
+        raise SceneError(
+            f"no target of {config.target} lies on the pick slope with rest_margin {config.rest_margin} m, within "
+            f"slope_radius {config.slope_radius} m and at most max_opening - opening_margin = {limit:.2f} m wide; "
+            "change target or these"
+        )
+    raise SceneError(
+        f"no goal on the place slope with rest_margin {config.rest_margin} m within slope_radius "
+        f"{config.slope_radius} m was found; lower rest_margin or make slope_radius larger"
+    )
+
+
+def _goal_on_stone(
+    rng: np.random.Generator, start: Lying, for_goal: list[Seat], place: _Slope, tone: str, config: SlopesConfig
+) -> tuple[Lying, Lying] | None:
+    """The target on an upper facet of a new stone on the place slope, and that stone; None if none was found."""
+    for _ in range(_STONES):
+        model = stone(_seed(rng), config.base, "stone_1", tone)
+        choice = seats(model)
+        if not choice:
+            continue
+        under = choice[_order(rng, choice, config.landing_weight)[0]]
+        base = place.near_middle(rng, model, under, config.goal_spread, rng.uniform(-np.pi, np.pi, _DRAWS))
+        if base is None:
+            continue
+        for top, facet in _upper_facets(base, place.outward, config):
+            for seat in for_goal:
+                goal = _on_facet(rng, start, seat, base, top, facet, config)
+                if goal is not None:
+                    place.put(base, goal.points())
+                    place.stones.append(base.object)
+                    return goal, base
+    return None
+
+
+def _upper_facets(base: Lying, outward: np.ndarray, config: SlopesConfig) -> list[tuple[Plane, np.ndarray]]:
+    """Planes and corners (K, 2) of the facets that a goal may be on, the largest first."""
+    rotation, position = base.plane.to_world(base.rotation, base.position)
+    facets = base.seat.facets
+    normals = facets.normals @ rotation.T
+    found = []
+    for k in np.flatnonzero(normals[:, 2] >= np.cos(config.top_inclination)):
+        corners = facets.corners(int(k)) @ rotation.T + position
+        plane = Plane(plane_frame(normals[k], outward), corners.mean(axis=0))
+        if plane.origin[2] <= config.top_height:
+            found.append((facets.areas[k], plane, plane.to_plane(corners)[:, :2]))
+    return [(plane, corners) for _, plane, corners in sorted(found, key=lambda item: -item[0])]
+
+
+def _on_facet(
+    rng: np.random.Generator,
+    start: Lying,
+    seat: Seat,
+    base: Lying,
+    top: Plane,
+    facet: np.ndarray,
+    config: SlopesConfig,
+) -> Lying | None:
+    """The target flush on a facet of the base, so that neither it nor the base under it tips; None if that fails."""
+    yaws = _goal_yaws(rng, start, seat, config)
+    # Where gravity through the target's centre of mass meets the facet.
+    feet = rng.dirichlet(np.ones(len(facet)), len(yaws)) @ facet
+    good = (clearance(facet, feet) >= config.top_margin) & (seat.margin(yaws, top.fall) >= config.top_margin)
+    positions = np.column_stack([feet - seat.height * top.fall, np.full(len(yaws), seat.height)])
+    centers = base.plane.to_plane(positions @ top.rotation.T + top.origin)
+    share = start.model.mass / (start.model.mass + base.model.mass)
+    both = share * centers + (1 - share) * base.position
+    good &= clearance(base.contact, both[:, :2] + both[:, 2:] * base.plane.fall) >= config.top_margin
+    if not good.any():
+        return None
+    k = int(good.argmax())
+    return Lying(start.model, seat, top, float(yaws[k]), positions[k])
+
+
+def _goal_yaws(rng: np.random.Generator, start: Lying, seat: Seat, config: SlopesConfig) -> Float[np.ndarray, " T"]:
+    """Turns of the target on another facet: rolled onto it by the least turn, then by ± the range of the config."""
+    rolled = turning_down(start.rotation @ seat.normal) @ start.rotation @ seat.rotation.T
+    turns = rng.uniform(*config.goal_yaw, _DRAWS) * rng.choice([-1.0, 1.0], _DRAWS)
+    return np.arctan2(rolled[1, 0], rolled[0, 0]) + turns
+
+
+def _order(rng: np.random.Generator, choice: list[Seat] | tuple[Seat, ...], weight: float) -> list[int]:
+    """Random order of facets, drawn one after another with their solid angles to the power ``weight``."""
+    # The least of exponential variables with these rates (Efraimidis and Spirakis 2006) is drawn so.
+    rates = np.array([seat.solid_angle for seat in choice]) ** weight
+    return np.argsort(rng.exponential(size=len(choice)) / rates).tolist()
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**31))
+
+
+@lru_cache(maxsize=8)
+def _ground(config: SlopesConfig) -> Fixture:
+    size = np.array([config.ground_size, config.ground_size, 1.0])
+    return Fixture("ground", size, np.array([1.0, 0, 0, 0, 0, 0, -0.5]), "gravel", support=True)

@@ -1,0 +1,474 @@
+"""The excavator's model: what is in it, how it moves and holds still, how it grips stones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jaxlie
+import mujoco
+import numpy as np
+import pytest
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from regrasp_gym import physics
+from regrasp_gym.objects.stones import StoneConfig, stone
+from regrasp_gym.robots import excavator
+from regrasp_planner.robot import body_poses, forward_kinematics, robot_bodies
+
+STEP = physics.TIMESTEP
+CLOSED, OPEN = excavator.THETA_RANGE
+BODIES = ("chassis", "house", "boom", "arm", "tool_pitch", "tool_tilt", "tool_rotate", "gripper")
+JAWS = ("left_jaw", "right_jaw")
+FAR = np.array([0.0, -0.45, 0.75, np.pi / 2 - 0.3, 0.0, 0.0])
+"""Stretched out, the grapple pointing down."""
+
+
+def compiled(
+    spec: mujoco.MjSpec | None = None, home: np.ndarray = excavator.HOME
+) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The machine at rest with open jaws, commanded to stay there."""
+    spec = excavator.build_spec() if spec is None else spec
+    physics.configure(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    pose(data, home, OPEN)
+    data.ctrl[:6], data.ctrl[6] = home, OPEN
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def pose(data: mujoco.MjData, q: np.ndarray, theta: float) -> None:
+    data.qpos[:6], data.qpos[6:8] = q, theta
+
+
+def step(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
+    for _ in range(round(seconds / STEP)):
+        mujoco.mj_step(model, data)
+
+
+def random_configurations(model: mujoco.MjModel, count: int) -> list[tuple[np.ndarray, float]]:
+    rng = np.random.default_rng(0)
+    low, high = model.jnt_range[:6].T
+    return [(rng.uniform(low, high), rng.uniform(CLOSED, OPEN)) for _ in range(count)]
+
+
+def test_everything_that_is_promised_is_there() -> None:
+    model, data = compiled()
+    for body in (*BODIES, *JAWS):
+        assert model.body_gravcomp[model.body(body).id] == 1.0
+        assert (model.geom_bodyid[model.geom_group == 2] == model.body(body).id).any(), f"{body} is to be seen"
+    assert [model.joint(name).id for name in (*excavator.ARM_JOINTS, *excavator.FINGER_JOINTS)] == list(range(8))
+    assert [model.actuator(n).id for n in (*excavator.ARM_ACTUATORS, excavator.GRIPPER_ACTUATOR)] == list(range(7))
+    assert model.camera("cab").bodyid == model.body("house").id
+    assert not model.jnt_pos.any(), "every joint sits at the origin of its body"
+    # 21.6 t with a bucket of 0.9 t, whose place a tool of 1.2 t takes.
+    assert model.body_mass.sum() == pytest.approx(21600 - 900 + 1200)
+    tool = [*BODIES[4:], *JAWS]
+    assert sum(model.body(name).mass[0] for name in tool) == pytest.approx(1200)
+    tcp = data.site(excavator.TCP_SITE)
+    assert tcp.xpos == pytest.approx([6.3, 0.0, 2.2], abs=1e-3)
+    assert tcp.xmat.reshape(3, 3) == pytest.approx(np.diag([-1.0, 1.0, -1.0]), abs=1e-4)
+    assert data.ncon == 0
+
+
+def test_limits_are_those_of_the_class() -> None:
+    model, _ = compiled()
+    half = np.pi / 4
+    expected = [(-np.pi, np.pi), (-1.137, 1.0), (0.594, 2.687), (-0.622, 2.372), (-half, half), (-np.pi, np.pi)]
+    assert model.jnt_range[:6] == pytest.approx(np.array(expected))
+    assert model.actuator_ctrlrange[:6] == pytest.approx(np.array(expected))
+    assert model.actuator_forcerange[:6, 1] == pytest.approx([74e3, 370e3, 190e3, 73e3, 40e3, 9e3])
+    assert model.actuator_forcerange[:, 0] == pytest.approx(-model.actuator_forcerange[:, 1])
+    assert np.clip(excavator.HOME, *model.jnt_range[:6].T) == pytest.approx(excavator.HOME)
+    for limit in (excavator.MAX_VELOCITY, excavator.MAX_ACCELERATION):
+        assert limit.shape == (6,)
+        assert (limit > 0).all()
+
+
+def test_kinematics_are_those_of_the_drawing() -> None:
+    """Against the closed form with the boom's pivot at (0.23, 1.96), boom 5.7 m, arm 2.9 m and the tool's offsets."""
+    model, data = compiled()
+    for q, theta in random_configurations(model, 50):
+        pose(data, q, theta)
+        mujoco.mj_kinematics(model, data)
+        swing, boom, arm, pitch, tilt, rotate = q
+        below, curl = boom + arm, boom + arm + pitch
+        radius = 0.23 + 5.7 * np.cos(boom) + 2.9 * np.cos(below)
+        height = 1.96 - 5.7 * np.sin(boom) - 2.9 * np.sin(below)
+        upper = Rotation.from_euler("ZY", [swing, curl + np.pi / 2]).as_matrix()
+        lower = upper @ Rotation.from_euler("XZ", [tilt, rotate]).as_matrix()
+        wrist = [radius * np.cos(swing), radius * np.sin(swing), height]
+        tcp = data.site(excavator.TCP_SITE)
+        assert tcp.xpos == pytest.approx(wrist + upper @ [0, 0, 0.26] + lower @ [0, 0, 1.61], abs=1e-6)
+        assert tcp.xmat.reshape(3, 3) == pytest.approx(lower, abs=1e-6)
+
+
+def test_the_jaws_open_from_0_1_to_1_2_metres_and_mirror_each_other() -> None:
+    model, data = compiled()
+    pads = [model.geom(name).id for name in excavator.PADS]
+    for theta in np.linspace(CLOSED, OPEN, 9):
+        pose(data, np.zeros(6), theta)
+        mujoco.mj_kinematics(model, data)
+        site = data.site(excavator.TCP_SITE)
+        local = (data.geom_xpos[pads] - site.xpos) @ site.xmat.reshape(3, 3)
+        assert local[0] == pytest.approx(local[1] * [1, -1, 1], abs=1e-9)
+        gap = mujoco.mj_geomDistance(model, data, *pads, 10.0, None)
+        assert gap == pytest.approx(0.84 + 1.8 * np.sin(theta), abs=1e-6)
+        if theta == CLOSED:
+            assert gap == pytest.approx(0.10, abs=1e-3)
+    assert gap == pytest.approx(1.20, abs=1e-3)
+    # The grasp centre lies between the pads where they are 0.7 m apart.
+    pose(data, np.zeros(6), float(np.arcsin((0.7 - 0.84) / 1.8)))
+    mujoco.mj_kinematics(model, data)
+    assert data.geom_xpos[pads].mean(axis=0) == pytest.approx(data.site(excavator.TCP_SITE).xpos, abs=5e-3)
+
+
+def test_a_block_of_one_metre_touches_the_pads_alone() -> None:
+    """1.0 m wide and 0.8 m high, held at half its height, with 3 cm to spare everywhere else."""
+    spec = excavator.build_spec()
+    spec.body("gripper").add_geom(
+        name="block", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.4, 0.5, 0.4], pos=[0, 0, 0.323 + 0.896], group=5
+    )
+    model, data = compiled(spec)
+    pose(data, excavator.HOME, float(np.arcsin((1.0 - 0.84) / 1.8)))
+    mujoco.mj_kinematics(model, data)
+    block = model.geom("block").id
+    for geom in np.flatnonzero(model.geom_group == 3):
+        distance = mujoco.mj_geomDistance(model, data, block, geom, 10.0, None)
+        if model.geom(geom).name in excavator.PADS:
+            assert distance == pytest.approx(0.0, abs=1e-3)
+        else:
+            assert distance > 0.03, model.geom(geom).name
+
+
+def test_seen_and_touched_geoms_are_apart() -> None:
+    model, _ = compiled()
+    seen, touched, bites = (model.geom_group == group for group in (2, 3, 4))
+    assert (seen | touched | bites).all()
+    assert not model.geom_contype[seen].any()
+    assert not model.geom_conaffinity[seen].any()
+    assert touched.sum() <= 16, "the planner checks every one"
+    pads = np.isin(np.arange(model.ngeom), [model.geom(name).id for name in excavator.PADS])
+    # What touches a stone, whose bits are 1: everything but the pads, and the polyhedra in their place.
+    meets = (model.geom_contype | model.geom_conaffinity) & 1 == 1
+    assert (meets == (touched & ~pads | bites)).all()
+    assert sorted(model.geom_bodyid[bites]) == sorted(model.geom_bodyid[pads])
+
+
+def test_what_bites_fills_the_pads() -> None:
+    """The polyhedra stay inside the capsules that the planner sees, and are nowhere 2 mm thinner along the bar."""
+    model, data = compiled()
+    for pad in excavator.PADS:
+        capsule, bite = model.geom(pad).id, model.geom(pad.replace("pad", "bite")).id
+        mesh = model.geom_dataid[bite]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = data.geom_xpos[bite] + model.mesh_vert[start : start + count] @ data.geom_xmat[bite].reshape(3, 3).T
+        assert max(outside(model, data, capsule, point) for point in corners) < 1e-6
+        local = (corners - data.geom_xpos[capsule]) @ data.geom_xmat[capsule].reshape(3, 3)
+        ring = ConvexHull(local[np.abs(local[:, 2] - 0.25) < 1e-6][:, :2])
+        assert -ring.equations[:, 2].max() > 0.098
+
+
+def test_a_pad_pushes_square_to_its_surface() -> None:
+    """Contacts between pad and stone, edges and corners included, point across the capsule that the planner sees."""
+    angles = []
+    for seed in range(3):
+        thing, rng = stone(seed), np.random.default_rng(seed)
+        spec = excavator.build_spec()
+        thing.add_to(spec, name="stone")
+        model, data = compiled(spec)
+        address = model.joint("stone_joint").qposadr[0]
+        bite, pad = model.geom("left_bite").id, model.geom("left_pad").id
+        middle, axis = data.geom_xpos[pad].copy(), data.geom_xmat[pad].reshape(3, 3)[:, 2].copy()
+        for _ in range(60):
+            turn = Rotation.random(random_state=rng).as_quat(scalar_first=True)
+            place = middle + np.array([rng.normal() * 0.1, -0.45, rng.normal() * 0.15])
+            ends = np.zeros(6)
+            for _ in range(15):
+                data.qpos[address : address + 7] = np.concatenate([place, turn])
+                mujoco.mj_kinematics(model, data)
+                place[1] += 0.95 * mujoco.mj_geomDistance(model, data, bite, model.geom("stone_c0").id, 5.0, ends)
+            away = ends[3:] - middle
+            away -= np.clip(away @ axis, -0.25, 0.25) * axis
+            away /= np.linalg.norm(away)
+            data.qpos[address : address + 3] = place - 1e-4 * away
+            mujoco.mj_forward(model, data)
+            normals = [c.frame[:3] * (1 if c.geom[0] == bite else -1) for c in data.contact if bite in c.geom]
+            angles += [np.degrees(np.arccos(np.clip(normal @ away, -1, 1))) for normal in normals]
+    assert len(angles) > 150
+    assert np.mean(np.array(angles) > 20) < 0.01
+    assert np.max(angles) < 45
+
+
+def test_what_is_seen_stays_near_what_touches() -> None:
+    """A tool seen to pass through a stone would be wrong; rails and cylinders above the boom meet nothing."""
+    model, data = compiled()
+    shapes = [g for g in range(model.ngeom) if model.geom_group[g] == 3]
+    for geom in np.flatnonzero(model.geom_group == 2):
+        mesh, body = model.geom_dataid[geom], model.body(model.geom_bodyid[geom]).name
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        points = data.geom_xpos[geom] + model.mesh_vert[start : start + count] @ data.geom_xmat[geom].reshape(3, 3).T
+        nearest = [min(outside(model, data, s, point) for s in shapes) for point in points[:: max(1, count // 60)]]
+        assert max(nearest) < (0.09 if body in (*BODIES[4:], *JAWS) else 0.45), model.geom(geom).name
+
+
+def outside(model: mujoco.MjModel, data: mujoco.MjData, geom: int, point: np.ndarray) -> float:
+    """Distance of a point outside of a capsule or a sphere, or of the bounding box of another geom."""
+    local = (point - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    if kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE):
+        half = size[1] if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
+        local = local - [0, 0, np.clip(local[2], -half, half)]
+        return max(0.0, float(np.linalg.norm(local)) - size[0])
+    center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    return float(np.linalg.norm(np.maximum(np.abs(local - center) - half, 0)))
+
+
+def test_the_operator_sees_where_the_tool_works() -> None:
+    model, data = compiled()
+    camera = model.camera("cab").id
+    frame = data.cam_xmat[camera].reshape(3, 3)
+    half = np.tan(np.deg2rad(model.cam_fovy[camera]) / 2)
+    for point in ([4.6, 0.0, 0.3], [6.3, 0.0, 0.0], [6.3, 1.2, 0.5], [8.0, 0.0, 0.5], [6.3, 0.0, 3.0]):
+        x, y, z = (np.array(point) - data.cam_xpos[camera]) @ frame
+        assert z < 0
+        assert max(abs(x), abs(y)) / -z < half
+
+
+def loaded() -> mujoco.MjSpec:
+    """The machine with a tonne fixed to its grapple."""
+    spec = excavator.build_spec()
+    load = spec.body("gripper").add_body(name="load", pos=[0, 0, 1.22])
+    load.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.35, 0.35, 0.4], mass=1000.0, contype=0, conaffinity=0)
+    return spec
+
+
+def test_it_holds_still_without_load() -> None:
+    model, data = compiled()
+    step(model, data, 1.0)
+    assert np.abs(data.qpos[:6] - excavator.HOME).max() < 1e-9
+
+
+def test_it_sags_little_under_a_tonne_at_eight_metres() -> None:
+    model, data = compiled(loaded(), FAR)
+    before = data.site(excavator.TCP_SITE).xpos.copy()
+    assert np.hypot(*before[:2]) > 8.0
+    step(model, data, 3.0)
+    sag = before - data.site(excavator.TCP_SITE).xpos
+    assert 1e-4 < sag[2] < 0.015
+    assert np.abs(data.qvel).max() < 1e-6, "and does not swing"
+
+
+def ramp(distance: float, speed: float, acceleration: float) -> tuple[Callable[[float], float], float]:
+    """Position over time of a move from rest to rest that reaches full speed, and its duration."""
+    rise = speed / acceleration
+    end = distance / speed + rise
+    assert distance > speed * rise
+
+    def position(time: float) -> float:
+        if time > end - rise:
+            return distance - 0.5 * acceleration * max(0.0, end - time) ** 2
+        return speed * (time - rise / 2) if time > rise else 0.5 * acceleration * time**2
+
+    return position, end
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_loaded_joint_follows_at_full_speed_and_stops_dead(joint: int) -> None:
+    """The time constant of 0.04 s is all that it lags, and 0.3 s after the end the tool is where it shall be."""
+    model, data = compiled(loaded(), FAR)
+    step(model, data, 0.5)
+    rest = data.qpos[:6] - FAR
+    speed, sign = excavator.MAX_VELOCITY[joint], -1 if joint == 3 else 1
+    position, end = ramp([1.6, 0.4, 0.5, 0.5, 0.4, 1.5][joint], speed, excavator.MAX_ACCELERATION[joint])
+    for k in range(round((end + 1.3) / STEP)):
+        data.ctrl[joint] = FAR[joint] + sign * position((k + 1) * STEP)
+        mujoco.mj_step(model, data)
+        error = data.qpos[:6] - data.ctrl[:6]
+        lag = -sign * error[joint] / speed
+        assert -0.01 < lag < 0.055
+        assert np.abs(np.delete(error - rest, joint)).max() < 2e-3, "the other joints stand"
+        if k * STEP > end + 0.3:
+            # 8 m of reach make 8 mm of this at the tool.
+            assert np.abs(error).max() < 1e-3
+
+
+def test_the_jaws_follow_one_command_as_one() -> None:
+    model, data = compiled()
+    fastest = 0.0
+    for target in (-0.2, 0.1, CLOSED, OPEN):
+        data.ctrl[6] = target
+        for _ in range(round(2.8 / STEP)):
+            mujoco.mj_step(model, data)
+            fastest = max(fastest, np.abs(data.qvel[6:8]).max())
+            assert data.qpos[6] == pytest.approx(data.qpos[7], abs=1e-4)
+        assert data.qpos[6:8] == pytest.approx([target] * 2, abs=1e-3)
+    assert 0.2 < fastest < 0.36
+
+
+def grasped(shape: Float[np.ndarray, "N 3"], seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation and offset from the grasp centre of a stone that both pads touch within 25° of square, and the angles.
+
+    Found by trying: turn the stone at random, close the jaws in steps of what is left between pads and stone.
+    """
+    rng = np.random.default_rng(seed)
+    spec = excavator.build_spec()
+    mesh = spec.add_mesh(name="stone", uservert=shape.ravel())
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    body = spec.worldbody.add_body(name="stone", mocap=True)
+    body.add_geom(name="stone", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="stone")
+    model, data = compiled(spec)
+    stone_geom, pads = model.geom("stone").id, [model.geom(name).id for name in excavator.PADS]
+    others = [g for g in range(model.ngeom) if model.geom_group[g] == 3 and g not in pads]
+    center = data.site(excavator.TCP_SITE).xpos.copy()
+
+    def touch(geom: int) -> tuple[float, np.ndarray]:
+        ends = np.zeros(6)
+        return mujoco.mj_geomDistance(model, data, geom, stone_geom, 2.0, ends), ends[3:]
+
+    for _ in range(500):
+        turn, offset, theta = Rotation.random(random_state=rng), np.append(rng.normal(size=2) * 0.05, 0.0), OPEN
+        offset = offset[[0, 2, 1]]
+        for _ in range(25):
+            pose(data, excavator.HOME, max(theta, CLOSED))
+            data.mocap_pos[0], data.mocap_quat[0] = center + offset, turn.as_quat(scalar_first=True)
+            mujoco.mj_kinematics(model, data)
+            left, right = touch(pads[0])[0], touch(pads[1])[0]
+            offset[1] += (left - right) / 2
+            theta -= (left + right) / 2
+        if abs(left) + abs(right) > 1e-4 or not CLOSED < theta < OPEN or abs(offset[1]) > 0.15:
+            continue
+        if min(mujoco.mj_geomDistance(model, data, g, stone_geom, 1.0, None) for g in others) < 0.03:
+            continue
+        points = [touch(pad)[1] for pad in pads]
+        across = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+        angles = []
+        for pad, point, sign in zip(pads, points, (1, -1), strict=True):
+            axis, away = data.geom_xmat[pad].reshape(3, 3)[:, 2], point - data.geom_xpos[pad]
+            away = away - np.clip(away @ axis, -0.25, 0.25) * axis
+            angles.append(np.degrees(np.arccos(np.clip(sign * away @ across / np.linalg.norm(away), -1, 1))))
+        if max(angles) < 25:
+            return turn.as_matrix(), offset, np.array(angles)
+    raise AssertionError("no grasp found")
+
+
+def held_pose(data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Position and rotation of the stone in the gripper frame."""
+    frame = data.site(excavator.TCP_SITE).xmat.reshape(3, 3)
+    body = data.body("stone")
+    return frame.T @ (body.xpos - data.site(excavator.TCP_SITE).xpos), frame.T @ body.xmat.reshape(3, 3)
+
+
+def moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
+    """Metres and degrees between two poses."""
+    turn = np.arccos(np.clip((np.trace(a[1].T @ b[1]) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(a[0] - b[0])), float(np.degrees(turn))
+
+
+def pad_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Sum of the left pad's normal forces, newtons."""
+    pad, total, force = model.geom("left_bite").id, 0.0, np.zeros(6)
+    for k, contact in enumerate(data.contact):
+        if pad in contact.geom:
+            mujoco.mj_contactForce(model, data, k, force)
+            total += force[0]
+    return total
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_friction_alone_holds_a_heavy_stone_through_a_swing(seed: int) -> None:
+    thing = stone(seed, StoneConfig(mass=(850.0, 1000.0)))
+    turn, offset, _ = grasped(thing.pieces[0], seed)
+    spec = excavator.build_spec()
+    center = compiled()[1].site(excavator.TCP_SITE).xpos
+    where = np.concatenate([Rotation.from_matrix(turn).as_quat(scalar_first=True), center + offset])
+    body = thing.add_to(spec, name="stone", pose=where)
+    body.gravcomp = 1.0
+    model, data = compiled(spec)
+    # It floats until the jaws have it.
+    dofs = slice(model.joint("stone_joint").dofadr[0], None)
+    model.dof_damping[dofs] = 3000.0
+    data.ctrl[6] = CLOSED
+    step(model, data, 2.5)
+    model.body_gravcomp[model.body("stone").id] = 0.0
+    model.dof_damping[dofs] = 0.0
+
+    step(model, data, 0.5)
+    presses = []
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+        presses.append(pad_force(model, data))
+    assert 34e3 < np.mean(presses) < 48e3, "the pad presses with about 40 kN"
+    assert np.std(presses) < 100.0, "and without chatter"
+
+    grip = held_pose(data)
+    assert np.linalg.norm(grip[0] - offset * [-1, 1, -1]) < 0.02, "where it was gripped"
+    position, end = ramp(2.2, excavator.MAX_VELOCITY[0], excavator.MAX_ACCELERATION[0])
+    lift = np.array([0.0, -0.12, 0.0, 0.12, 0.0, 0.0])
+    for k in range(round((end + 1.0) / STEP)):
+        share = min(1.0, k * STEP / 2.5)
+        data.ctrl[:6] = excavator.HOME + lift * share**2 * (3 - 2 * share)
+        data.ctrl[0] += position(k * STEP)
+        mujoco.mj_step(model, data)
+    slip, twist = moved(grip, held_pose(data))
+    assert slip < 0.02
+    assert twist < 1.0
+    assert data.qpos[0] == pytest.approx(2.2, abs=1e-3)
+
+    after = held_pose(data)
+    step(model, data, 20.0)
+    slip, twist = moved(after, held_pose(data))
+    assert slip < 0.003, "a held stone does not creep"
+    assert twist < 0.5
+
+
+def test_the_planner_sees_the_same_machine() -> None:
+    model, data = compiled()
+    robot = excavator.planner_robot(model)
+    names = [model.body(model.geom_bodyid[g]).name for g in range(model.ngeom)]
+    touched = [g for g in range(model.ngeom) if model.geom_group[g] == 3]
+    order = dict.fromkeys(JAWS, 2) | {"gripper": 1}
+    geoms = sorted(touched, key=lambda g: (order.get(names[g], 0), g))
+    assert robot_bodies(robot).batch_size == len(geoms) == 16
+    assert robot.gripper.fingers.batch_size == 4
+    assert float(robot.gripper.max_opening) == pytest.approx(1.2, abs=1e-3)
+    assert (float(robot.gripper.lower), float(robot.gripper.upper)) == pytest.approx(excavator.THETA_RANGE)
+    for q, theta in random_configurations(model, 20):
+        pose(data, q, theta)
+        mujoco.mj_kinematics(model, data)
+        frames = np.asarray(forward_kinematics(robot.arm, q))
+        tcp = data.site(excavator.TCP_SITE)
+        assert frames[-1][4:] == pytest.approx(tcp.xpos, abs=1e-9)
+        assert np.asarray(jaxlie.SO3(frames[-1][:4]).as_matrix()) == pytest.approx(tcp.xmat.reshape(3, 3), abs=1e-9)
+        for body, centered, geom in zip(
+            np.asarray(body_poses(robot, q, np.asarray(theta))),
+            np.asarray(robot_bodies(robot).center),
+            geoms,
+            strict=True,
+        ):
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+                continue
+            center = body[4:] + np.asarray(jaxlie.SO3(body[:4]).as_matrix()) @ centered
+            assert center == pytest.approx(data.geom_xpos[geom], abs=1e-6)
+
+
+def test_few_pairs_can_collide_and_none_does_in_usual_work() -> None:
+    model, data = compiled()
+    assert 20 < len(excavator.planner_robot(model).self_pairs) < 80
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        radius, height = rng.uniform(4.3, 8.3), rng.uniform(0.0, 1.8)
+        x, z = radius - 0.23, height + 1.87 - 1.96
+        reach = np.hypot(x, z)
+        boom = np.arctan2(z, x) + np.arccos((5.7**2 + reach**2 - 2.9**2) / (2 * 5.7 * reach))
+        arm = np.pi - np.arccos((5.7**2 + 2.9**2 - reach**2) / (2 * 5.7 * 2.9))
+        if not model.jnt_range[2, 0] < arm < model.jnt_range[2, 1]:
+            continue
+        down = np.pi / 2 + boom - arm
+        swing, tilt, rotate = rng.uniform(-1.4, 1.4), rng.uniform(-0.4, 0.4), rng.uniform(-np.pi, np.pi)
+        pose(data, np.array([swing, -boom, arm, down, tilt, rotate]), rng.uniform(CLOSED, OPEN))
+        mujoco.mj_forward(model, data)
+        assert data.site(excavator.TCP_SITE).xpos[2] == pytest.approx(height + 1.61 * (1 - np.cos(tilt)), abs=1e-6)
+        assert data.ncon == 0
