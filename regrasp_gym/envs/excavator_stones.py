@@ -70,8 +70,8 @@ class ExcavatorStonesEnv(RegraspEnv):
     ## Action Space
 
     ``control_mode="joint_pos"``: `Box((7,), float32)`. Out-of-range entries are clipped; entries that are not finite
-    and wrong shapes raise `ActionError`. Joints move to their positions in a straight line and no faster than 0.5, 0.25,
-    0.5, 0.6, 0.4 and 0.8 rad/s, so that a far position takes many steps.
+    and wrong shapes raise `ActionError`. Joints move to their positions in a straight line and no faster than 0.5,
+    0.25, 0.5, 0.6, 0.4 and 0.8 rad/s, so that a far position takes many steps.
 
     | Num | Action                                    | Min     | Max    | Name in the model | Unit |
     |-----|-------------------------------------------|---------|--------|-------------------|------|
@@ -112,7 +112,7 @@ class ExcavatorStonesEnv(RegraspEnv):
     | 14–20  | gripper pose                                            | –, m       |
     | 21–26  | target velocity: linear, angular, world                 | m/s, rad/s |
     | 27–29  | target half extents along its axes                      | m          |
-    | 30–139 | other objects, first those on the right slope: 10 × (present 0/1, pose 7, half extents 3); 0 if none | –, m |
+    | 30–139 | other objects, right slope first: 10 × (present 0/1, pose 7, half extents 3); 0 if none | –, m |
 
     | Num | achieved_goal, desired_goal                                                          | Unit |
     |-----|--------------------------------------------------------------------------------------|------|

@@ -24,6 +24,21 @@ COLLISION_GROUP = 3
 """Geom group of the shapes that touch."""
 
 
+@dataclass(frozen=True)
+class Contact:
+    """How contacts of an object give way, as MuJoCo's geoms have it.
+
+    Attributes:
+        solref: time constant (seconds) and damping ratio.
+        solimp: impedance at no and at full overlap, and the overlap (metres) over which it rises.
+        solmix: weight of these figures against those of the other geom.
+    """
+
+    solref: tuple[float, float] = (0.006, 1.0)
+    solimp: tuple[float, float, float] = (0.95, 0.99, 0.001)
+    solmix: float = 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
     """A rigid object made of convex pieces.
@@ -41,6 +56,7 @@ class ObjectModel:
         looks: surfaces to draw; where there are none the pieces themselves are drawn in ``rgba``.
         rgba: colour of the pieces where no looks are given.
         friction: sliding friction coefficient against everything but the gripper's pads, which bring their own.
+        contact: softness of its contacts in MuJoCo's terms.
     """
 
     name: str
@@ -52,6 +68,7 @@ class ObjectModel:
     looks: tuple[Look, ...] = ()
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0)
     friction: float = 0.6
+    contact: Contact = Contact()
 
     @cached_property
     def size(self) -> Float[np.ndarray, " 3"]:
@@ -130,8 +147,9 @@ class ObjectModel:
                 group=COLLISION_GROUP,
                 condim=4,
                 friction=[self.friction, 0.004, 0.0001],
-                solref=[0.006, 1.0],
-                solimp=[0.95, 0.99, 0.001, 0.5, 2],
+                solref=self.contact.solref,
+                solimp=[*self.contact.solimp, 0.5, 2],
+                solmix=self.contact.solmix,
                 rgba=[*self.rgba[:3], 0.5],
             )
             if self.shape == "box":
@@ -168,11 +186,12 @@ def solid(
     looks: Sequence[Look] = (),
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0),
     friction: float = 0.6,
+    contact: Contact = Contact(),
 ) -> ObjectModel:
     """An object of uniform density: its frame is moved to the centre of mass of ``pieces``.
 
     Args:
-        name, label, mass, rgba, friction, shape: see `ObjectModel`.
+        name, label, mass, rgba, friction, contact, shape: see `ObjectModel`.
         pieces: convex pieces, (N, 3) metres, z up, which must not overlap.
         looks: surfaces in the same frame as ``pieces``.
     """
@@ -193,6 +212,7 @@ def solid(
         looks=tuple(look.shifted(-center) for look in looks),
         rgba=rgba,
         friction=friction,
+        contact=contact,
     )
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from regrasp_gym.errors import SceneError
-from regrasp_gym.objects.model import ObjectModel, solid
+from regrasp_gym.objects.model import Contact, ObjectModel, solid
 from regrasp_gym.objects.stone_looks import TONES, rough_stone
 
 KINDS = ("slab", "block", "wedge", "boulder")
@@ -23,6 +23,9 @@ KINDS = ("slab", "block", "wedge", "boulder")
 
 VERTEX_RANGE = (12, 60)
 """Least and most corners of a stone."""
+
+HARD = Contact(solref=(0.004, 1.0), solimp=(0.98, 0.995, 0.001), solmix=20.0)
+"""Stiff enough that a stone of a ton does not tremble where it rests."""
 
 FRICTION = 0.7
 """Sliding friction of stone on stone; dry rock joints have 0.6 to 0.85 (Byerlee, Pure Appl. Geophys. 1978)."""
@@ -101,7 +104,7 @@ def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", ton
             f"largest extent of at most {config.largest_extent} m; widen these"
         )
     look = rough_stone(look_rng, facets.triangles, facets.normals[facets.facet], tone)
-    return solid(name, f"{tone} stone", mass, [corners], looks=[look], rgba=look.rgba, friction=FRICTION)
+    return solid(name, f"{tone} stone", mass, [corners], looks=[look], rgba=look.rgba, friction=FRICTION, contact=HARD)
 
 
 def _within(corners: np.ndarray, normals: np.ndarray, config: StoneConfig) -> bool:
