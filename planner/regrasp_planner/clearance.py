@@ -175,6 +175,9 @@ def _clearance_chunk(
     rows = np.flatnonzero(bounds[np.arange(count), nearest] < cap)
     measure(rows, nearest[rows])
     open_ = bounds < value[:, None]
+    if cap == 0:
+        # It is known by now that these are not free.
+        open_[value < 0] = False
     open_[rows, nearest[rows]] = False
     measure(*np.nonzero(open_))
     distance = np.where(pair >= 0, value + margin[pair], cap)

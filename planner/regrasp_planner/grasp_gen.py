@@ -102,7 +102,7 @@ class GraspSearch:
         self._travel = reduce_gripper(gripper).travel
         self._stroke = self._length * self._travel
         self._reachable = reachable
-        self._reached: dict[int, int] = {}
+        self._reached: dict[Reachable, dict[int, int]] = {}
         self._known: dict[int, Terms] = {}
         self._improved: list[tuple[Float[np.ndarray, " 7"], Terms]] = []
         self._contact_found = False
@@ -120,20 +120,28 @@ class GraspSearch:
         """Why there is no grasp, once a search has ended without one."""
         if len(self._starts.poses) == 0:
             return "too wide"
-        if self._reached and not any(self._reached.values()):
+        if self._reached and not any(any(answers.values()) for answers in self._reached.values()):
             return "out of reach"
         return "poor quality" if self._contact_found else "enclosed"
 
-    def grasps(self, start: ReleaseCone | None = None, end: ReleaseCone | None = None) -> Iterator[list[Found]]:
+    def grasps(
+        self,
+        start: ReleaseCone | None = None,
+        end: ReleaseCone | None = None,
+        also: Sequence[Reachable] = (),
+    ) -> Iterator[list[Found]]:
         """Feasible grasps, a few at a time, the most open ones first; the caller stops when it has what it needs.
 
         Args:
             start: the ground under the target when it is taken, as the cone of a stable pose; its axis counts alone.
             end: the ground when it is let go. Where its half-angle is positive the plane may tilt within the cone
                 (GraspGen⁺, Algorithm 3); otherwise the release is static.
+            also: asked, too, before a start is made use of: where else the arm has to take the grasp. Answers are kept
+                by the function, so that the same one should be given again.
         """
         if len(self._starts.poses) == 0:
             return
+        asked = (*([] if self._reachable is None else [self._reachable]), *also)
         release: Sequence[Float[np.ndarray, " 3"] | None] = [None] * len(self._starts.poses)
         clear = np.ones(len(self._starts.poses), bool)
         if start is not None or end is not None:
@@ -141,7 +149,7 @@ class GraspSearch:
         tried: list[int] = []
         if self.options.starts is StartKind.CRITICAL:
             refused: list[Grasp] = []
-            for batch in self._screened(clear, refused):
+            for batch in self._screened(clear, refused, asked):
                 tried += batch
                 grasps = [self._grasp(self._starts.poses[i], self._known[i]) for i in batch]
                 found = [Found(grasp, release[i]) for i, grasp in zip(batch, grasps, strict=True) if grasp is not None]
@@ -154,14 +162,17 @@ class GraspSearch:
             found = self._cleared(poses, thetas, [terms for _, terms in self._improved], start, end)
             if found:
                 yield found
-        yield from self._refined(self._promising(tried, clear), start, end)
+        yield from self._refined(self._promising(tried, clear, asked), start, end)
 
-    def _screened(self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp]) -> Iterator[list[int]]:
+    def _screened(
+        self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp], asked: Sequence[Reachable]
+    ) -> Iterator[list[int]]:
         """Batches of evaluated starts: those known from other searches, then new ones as far as the budgets allow."""
-        known = iter([int(i) for i in self._order if clear[i] and int(i) in self._known])
+        evaluated = np.array([i for i in self._order if clear[i] and int(i) in self._known], int)
+        known = iter(evaluated[self._grades(evaluated, asked) > 0].tolist())
         while batch := list(islice(known, BATCH)):
             yield batch
-        unknown = (i for i in self._in_order(clear, refused) if i not in self._known)
+        unknown = (i for i in self._in_order(clear, refused, asked) if i not in self._known)
         spent = 0
         while spent < self.options.screened * (PATIENCE if refused else 1) and self.evaluations < self.options.budget:
             batch = list(islice(unknown, BATCH))
@@ -224,7 +235,9 @@ class GraspSearch:
         cost = overlap + np.maximum(0.0, wanted - starts.depths) - 0.1 * np.clip(gap, 0.0, 6 * self._margin)
         return np.argsort(cost + 0.03 * lever, kind="stable")
 
-    def _in_order(self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp]) -> Iterator[int]:
+    def _in_order(
+        self, clear: Bool[np.ndarray, " K"], refused: Sequence[Grasp], asked: Sequence[Reachable]
+    ) -> Iterator[int]:
         """Starts that clear the ground and that the arm reaches, the best graded ones first.
 
         Of those alike in that, such come first as differ from others before, and as do not hold the target the way the
@@ -232,10 +245,10 @@ class GraspSearch:
         """
         order = self._order[(clear & ~self._hopeless)[self._order]]
         chunks = [order[begin : begin + REACH_CHUNK] for begin in range(0, len(order), REACH_CHUNK)]
-        passes = [(1, chunks)] if self._reachable is None else [(2, chunks[:LOOKED_AT]), (1, chunks)]
+        passes = [(2, chunks[:LOOKED_AT]), (1, chunks)] if asked else [(1, chunks)]
         for grade, some in passes:
             for chunk in some:
-                grades = self._grades(chunk)
+                grades = self._grades(chunk, asked)
                 first, rest = _spread(self._starts.poses[chunk], 0.15 * self._length)
                 waiting = [k for k in (*first, *rest) if grades[k] == grade]
                 while waiting:
@@ -248,13 +261,17 @@ class GraspSearch:
         turn = self._starts.poses[i, :4]
         return any(abs(float(turn @ grasp.pose[:4])) > np.cos(np.radians(15)) for grasp in refused)
 
-    def _grades(self, chunk: Int[np.ndarray, " C"]) -> Int[np.ndarray, " C"]:
-        if self._reachable is None:
-            return np.ones(len(chunk), int)
-        if any(int(i) not in self._reached for i in chunk):
-            answers = self._reachable(self._starts.poses[chunk])
-            self._reached |= {int(i): int(answer) for i, answer in zip(chunk, answers, strict=True)}
-        return np.array([self._reached[int(i)] for i in chunk])
+    def _grades(self, chunk: Int[np.ndarray, " C"], asked: Sequence[Reachable]) -> Int[np.ndarray, " C"]:
+        """The least of the answers for each start; those it is hopeless for already are not asked about any more."""
+        grades = np.full(len(chunk), 2 if asked else 1)
+        for reachable in asked:
+            answers = self._reached.setdefault(reachable, {})
+            new = np.array([i for i, grade in zip(chunk, grades, strict=True) if grade and int(i) not in answers], int)
+            if len(new):
+                told = reachable(self._starts.poses[new])
+                answers |= {int(i): int(answer) for i, answer in zip(new, told, strict=True)}
+            grades = np.minimum(grades, [answers.get(int(i), 0) for i in chunk])
+        return grades
 
     # --- evaluations --------------------------------------------------------------------------------------------------
 
@@ -347,7 +364,7 @@ class GraspSearch:
 
     # --- refinement ---------------------------------------------------------------------------------------------------
 
-    def _promising(self, tried: Sequence[int], clear: Bool[np.ndarray, " K"]) -> list[int]:
+    def _promising(self, tried: Sequence[int], clear: Bool[np.ndarray, " K"], asked: Sequence[Reachable]) -> list[int]:
         """Starts to refine: of those tried the nearest to feasible, then such as only the ground is in the way of."""
         if self.evaluations >= self.options.budget:
             return []
@@ -361,7 +378,7 @@ class GraspSearch:
         chosen = sorted(merit, key=lambda i: merit[i])[: self.options.refined]
         untried = np.setdiff1d(self._order, np.asarray(tried, int), assume_unique=True)
         others = untried[np.argsort(~clear[untried], kind="stable")][:REACH_CHUNK]
-        others = others[self._grades(others) > 0] if len(chosen) < self.options.refined else others[:0]
+        others = others[self._grades(others, asked) > 0] if len(chosen) < self.options.refined else others[:0]
         return [*chosen, *(int(i) for i in others)][: self.options.refined]
 
     def _refined(

@@ -246,13 +246,14 @@ def grasp_starts(
     forward = np.concatenate([deep, shallow[room], 0.5 * (deep + shallow)[room]])
     origins = origins[index] + forward[:, None] * approach[index]
 
-    # Where the pads touch: the outermost points of the part between them.
+    # Where the pads touch: the outermost points of the part between them, where a round pad is set back in between.
     planes = hull_planes(part)
-    pad = _moved(_face(reduced.pads[0].hull_vertices(), width_axis), np.asarray(gripper.screws)[0], closed[index])
-    pad = pad - (pad @ width_axis)[..., None] * width_axis
-    over = origins[:, None] + pad @ turns[index].swapaxes(1, 2)
+    lines, recess = _pad_lines(reduced.pads[0], width_axis)
+    lines = _moved(lines, np.asarray(gripper.screws)[0], closed[index])
+    lines = lines - (lines @ width_axis)[..., None] * width_axis
+    over = origins[:, None] + lines @ turns[index].swapaxes(1, 2)
     enter, leave = clip_lines(over, closing[index], planes)
-    first, last = enter.min(axis=1), leave.max(axis=1)
+    first, last = (enter + recess).min(axis=1), (leave - recess).max(axis=1)
     fits = np.flatnonzero((last > first) & (last - first <= float(gripper.max_opening)))
     index, first, last = index[fits], first[fits], last[fits]
     origins = origins[fits] + (0.5 * (first + last))[:, None] * closing[index]
@@ -358,6 +359,28 @@ def _face(vertices: Float[np.ndarray, "N 3"], normal: Float[np.ndarray, " 3"]) -
     low, high = local.min(axis=0), local.max(axis=0)
     grid = np.stack(np.meshgrid(*np.linspace(low[:2], high[:2], 3).T, [high[2]], indexing="ij"), axis=-1)
     return grid.reshape(-1, 3) @ frame.T
+
+
+def _pad_lines(
+    pad: ConvexBody, normal: Float[np.ndarray, " 3"]
+) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, " P"]]:
+    """Points spread over a pad's face, and how far its surface lies there behind its foremost point, metres."""
+    vertices, radius = pad.hull_vertices(), float(pad.radius)
+    if radius == 0:
+        return _face(vertices, normal), np.zeros(9)
+    other = np.eye(3)[np.argmin(np.abs(normal))]
+    first = np.cross(normal, other) / np.linalg.norm(np.cross(normal, other))
+    lateral = np.stack([first, np.cross(normal, first)])
+    low, high = (vertices @ lateral.T).min(axis=0), (vertices @ lateral.T).max(axis=0)
+    # Points of the core no further apart than half the radius, and about each as much of the sweep as a side touches
+    # that slants by up to 30°.
+    cores = [np.linspace(a, b, 1 + round(2 * (b - a) / radius)) for a, b in zip(low, high, strict=True)]
+    core = np.stack(np.meshgrid(*cores, indexing="ij"), axis=-1).reshape(-1, 2)
+    offsets = radius * np.array([[0, 0], [-0.5, 0], [-0.25, 0], [0.25, 0], [0.5, 0], [0, -0.5], [0, 0.5]])
+    points = (core[:, None] + offsets).reshape(-1, 2)
+    recess = radius - np.sqrt(radius**2 - (offsets**2).sum(axis=1))
+    front = (vertices @ normal).max()
+    return points @ lateral + front * normal, np.tile(recess, len(core))
 
 
 def hull_planes(vertices: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "F 4"]:

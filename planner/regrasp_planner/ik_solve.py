@@ -192,13 +192,16 @@ class Reachability(IntEnum):
     """There is a configuration in which the bodies of the model are clear."""
 
 
-def within_reach(model: CollisionModel, targets: Float[np.ndarray, "K 7"], seed: int = 0) -> Int[np.ndarray, " K"]:
+def within_reach(
+    model: CollisionModel, targets: Float[np.ndarray, "K 7"], seed: int = 0, collisions: bool = True
+) -> Int[np.ndarray, " K"]:
     """A quick look from a few starts at which gripper poses the arm can take.
 
     Args:
         model: what may be hit; commonly without the gripper, whose collisions are for the evaluation of grasps.
         targets: (K, 7) poses of the gripper frame in the world.
         seed: of the random starts.
+        collisions: whether they count; if not, what can be reached at all is free.
 
     Returns:
         (K,) `Reachability` of each.
@@ -216,7 +219,9 @@ def within_reach(model: CollisionModel, targets: Float[np.ndarray, "K 7"], seed:
         lanes = _Lanes(*map(np.asarray, ends))
         solved = (lanes.miss() < QUICK_TOLERANCE).reshape(QUICK_TARGETS, QUICK_STARTS)[: len(chosen)]
         q = lanes.q.reshape(QUICK_TARGETS, QUICK_STARTS, -1)[: len(chosen)]
-        grades[chosen[solved.any(axis=1)]] = Reachability.BLOCKED
+        grades[chosen[solved.any(axis=1)]] = Reachability.BLOCKED if collisions else Reachability.FREE
+        if not collisions:
+            continue
         # Those nearest to home first.
         order = np.where(solved, np.linalg.norm((q - home) / (high - low), axis=2), np.inf).argsort(axis=1)
         for rank in range(QUICK_ENOUGH):

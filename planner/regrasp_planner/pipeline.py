@@ -113,7 +113,7 @@ def _one_grasp(stages: StageSearch, batches: Iterator[Sequence[Grasp]]) -> tuple
 
 
 def _direct(stages: StageSearch) -> tuple[Stage, ...] | Failure:
-    search = stages.search(stages.task.pick, stages.task.place)
+    search = stages.search(stages.options.grasp, stages.task.pick, stages.task.place)
     batches = ([found.grasp for found in batch] for batch in stages.timed(search.grasps()))
     where = f"{stages.task.pick.name} and {stages.task.place.name}"
     return _one_grasp(stages, batches) or stages.no_grasp(StageKind.PICK_TO_PLACE, search, where)

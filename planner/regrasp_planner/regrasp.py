@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise, permutations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from regrasp_planner.grasp_gen import Reachable
 from regrasp_planner.pose import Pose
 from regrasp_planner.release import ReleaseCone, release_cones
 from regrasp_planner.release_pose import resting_poses, tilted_pose
@@ -29,11 +31,13 @@ Links = tuple[list[Held], Failure | None]
 
 @dataclass(frozen=True)
 class _Rest:
-    """A stable pose: the ground under it with and without tilt, and where the target can stand so."""
+    """A stable pose: the ground under it with and without tilt, where the target can stand so, and whether the arm can
+    take a grasp in any of these poses."""
 
     upright: ReleaseCone
     tilted: ReleaseCone
     poses: tuple[Pose, ...]
+    reachable: Reachable
 
 
 class RegraspSearch:
@@ -46,9 +50,10 @@ class RegraspSearch:
     def __init__(self, stages: StageSearch) -> None:
         self.stages, self.task, self.options = stages, stages.task, stages.options
         self._hull = self.task.target.hull_vertices()
-        self._to_release = stages.search(self.task.pick)
-        self._to_place = stages.search(self.task.place)
-        self._on_ground = stages.search()
+        effort = self.options.regrasp
+        self._to_release = stages.search(effort, self.task.pick)
+        self._to_place = stages.search(effort, self.task.place)
+        self._on_ground = stages.search(effort)
         self._links: dict[tuple[int | None, int | None, bool], Links] = {}
         self._taken: dict[tuple[tuple[int, int | None], bool, bytes], Links] = {}
         self._laid: dict[tuple[int, bytes], Ends] = {}
@@ -64,8 +69,18 @@ class RegraspSearch:
         for k in order:
             where = resting_poses(area, self._hull, poses.rotations[k], self.options.yaws)
             if where:
-                rests.append(_Rest(ReleaseCone(cones[k].axis, 0.0), cones[k], tuple(where)))
+                upright = ReleaseCone(cones[k].axis, 0.0)
+                rests.append(_Rest(upright, cones[k], tuple(where), partial(self._anywhere, tuple(where))))
         return tuple(rests[: self.options.max_stable_poses])
+
+    def _anywhere(self, where: Sequence[Pose], grippers: Float[np.ndarray, "K 7"]) -> Int[np.ndarray, " K"]:
+        """Whether the arm takes grasps in any of several poses on free ground; see `GraspSearch`."""
+        grades = np.zeros(len(grippers), int)
+        for pose in where:
+            left = np.flatnonzero(grades == 0)
+            if len(left):
+                grades[left] = self.stages.looked(pose, grippers[left], collisions=False)
+        return grades
 
     def once(self, tilted: bool) -> tuple[Stage, ...] | Failure:
         """One regrasp; the target let go in its stable pose, or where ``tilted``, to settle into it."""
@@ -132,7 +147,8 @@ class RegraspSearch:
         link = (chain[done], None) if done + 1 == len(chain) else (chain[done], chain[done + 1])
         failure: Failure | None = None
         tried = 0
-        for settled in self._rests[chain[done]].poses:
+        onward, _ = self._link(*link, tilted)
+        for settled in self._places(chain[done], holding, onward):
             laying, lacking = self._laying(kind, holding, settled)
             retaken: list[Held] = []
             if laying:
@@ -154,7 +170,14 @@ class RegraspSearch:
             tried += laid
             if tried == self.options.motion_attempts:
                 break
-        return failure or self._no_rest()
+        return failure or self.stages.unreachable(kind)
+
+    def _places(self, k: int, holding: Sequence[Held], onward: Sequence[Held]) -> list[Pose]:
+        """Where the target may stand in a stable pose, by a quick look at both its grasps; the best places first."""
+        grippers = [np.array([held.grasp.pose for held in some]) for some in (holding, onward)]
+        poses = self._rests[k].poses
+        worth = [min(int(self.stages.looked(pose, some, False).max()) for some in grippers) for pose in poses]
+        return [poses[i] for i in sorted(range(len(poses)), key=lambda i: -worth[i]) if worth[i]]
 
     def _retaken(self, kind: StageKind, link: tuple[int, int | None], tilted: bool, settled: Pose) -> Links:
         """Grasps of a link by which the target can be taken up where it has settled."""
@@ -244,6 +267,7 @@ class RegraspSearch:
 
     def _linked(self, begin: int | None, end: int | None, tilted: bool) -> Links:
         stages, motion = self.stages, self.stages.motion
+        also = [self._rests[k].reachable for k in (begin, end) if k is not None]
         start = None if begin is None else self._rests[begin].upright
         ground = None if end is None else self._rests[end].tilted if tilted else self._rests[end].upright
         if begin is None:
@@ -254,14 +278,14 @@ class RegraspSearch:
             pose, find = stages.goal, motion.puts
         else:
             kind, search = StageKind.REGRASP_TO_RELEASE, self._on_ground
-            batches = stages.either_way(search.grasps(start, ground))
+            batches = stages.either_way(search.grasps(start, ground, also))
             grasps: list[Held] = []
             for batch in batches:
                 grasps += batch
                 if len(grasps) >= 2 * self.options.grasps_kept:
                     break
             return grasps, None if grasps else stages.no_grasp(kind, search, "both stable poses")
-        found, failure = stages.reached(kind, stages.either_way(search.grasps(start, ground)), pose, find)
+        found, failure = stages.reached(kind, stages.either_way(search.grasps(start, ground, also)), pose, find)
         if not found and failure is None:
             failure = stages.no_grasp(kind, search, self._between(scene, search.any_feasible))
         if ground is not None:

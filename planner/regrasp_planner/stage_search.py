@@ -35,7 +35,8 @@ class PlanOptions:
     """Options of `plan`.
 
     Attributes:
-        grasp: options of GraspGen.
+        grasp: options of GraspGen for one grasp from pick to place.
+        regrasp: options of GraspGen for the grasps of a regrasp, on which more depends.
         sampling: options of the sampling baseline.
         motion: options of IkSolve and PathPlan.
         max_stable_poses: stable poses tried for a regrasp, most stable first.
@@ -47,6 +48,7 @@ class PlanOptions:
     """
 
     grasp: GraspGenOptions = field(default_factory=GraspGenOptions)
+    regrasp: GraspGenOptions = field(default_factory=lambda: GraspGenOptions(screened=32, budget=240))
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
     max_stable_poses: int = 8
@@ -92,21 +94,24 @@ class StageSearch:
         self.goal = np.array(task.place.target_pose, float)
         self.goal[6] += options.motion.drop
 
-    def search(self, *scenes: Scene) -> GraspSearch:
+    def search(self, options: GraspGenOptions, *scenes: Scene) -> GraspSearch:
         """A search for grasps that are feasible in all the scenes and that the arm reaches there, obstacles aside."""
-        poses = [rigid(scene.target_pose) for scene in scenes]
-        arm = self.surroundings.arm_alone
 
         def reachable(grippers: Float[np.ndarray, "K 7"]) -> Int[np.ndarray, " K"]:
-            local = rigid(grippers)
-            looks = [within_reach(arm, wxyz_xyz(pose * local), self.seed) for pose in poses]
-            return np.minimum.reduce(looks)
+            return np.minimum.reduce([self.looked(scene.target_pose, grippers) for scene in scenes])
 
         made = GraspSearch(
-            self.task.target, scenes, self.robot.gripper, self.options.grasp, reachable if scenes else None, self.seed
+            self.task.target, scenes, self.robot.gripper, options, reachable if scenes else None, self.seed
         )
         self.searches.append(made)
         return made
+
+    def looked(
+        self, target_pose: Pose, grippers: Float[np.ndarray, "K 7"], collisions: bool = True
+    ) -> Int[np.ndarray, " K"]:
+        """How well the arm alone takes grasps, (K, 7) in the target's frame, of the target standing at a pose."""
+        placed = wxyz_xyz(rigid(target_pose) * rigid(grippers))
+        return within_reach(self.surroundings.arm_alone, placed, self.seed, collisions)
 
     def timed(self, batches: Iterator[list[Found]]) -> Iterator[list[Found]]:
         """The same batches, the time they take counted as GraspGen's."""
