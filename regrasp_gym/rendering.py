@@ -319,6 +319,11 @@ class SceneRenderer:
         mujoco.mjr_readPixels(picture, None, rect, self._context)
         return np.ascontiguousarray(picture[::-1])
 
+    def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing) -> None:
+        # Left to itself MuJoCo frees the memory in whichever context is current, which may be another one's.
+        if not is_finalizing():
+            self.close()
+
     def close(self) -> None:
         """Free everything. Rendering again opens it again."""
         if self._gl is not None:

@@ -78,7 +78,7 @@ class ExcavatorStonesEnv(RegraspEnv):
     | 0   | swing of the house                        | -3.1416 | 3.1416 | actuator_swing    | rad  |
     | 1   | boom, greater is lower                    | -1.137  | 1      | actuator_boom     | rad  |
     | 2   | arm (stick), greater is further in        | 0.594   | 2.687  | actuator_arm      | rad  |
-    | 3   | pitch of the tool                         | -0.622  | 2.372  | actuator_pitch    | rad  |
+    | 3   | pitch of the tool                         | -0.54   | 1.83   | actuator_pitch    | rad  |
     | 4   | tilt of the tool                          | -0.7854 | 0.7854 | actuator_tilt     | rad  |
     | 5   | rotation of the tool                      | -3.1416 | 3.1416 | actuator_rotate   | rad  |
     | 6   | angle of each jaw, greater is wider       | -0.4237 | 0.2014 | gripper           | rad  |

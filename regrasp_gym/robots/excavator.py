@@ -32,7 +32,7 @@ TCP_SITE = "tcp"
 PADS = ("left_pad", "right_pad")
 """Geoms of the parts that hold: a round bar across the tip of each jaw, along the tool's x axis."""
 
-HOME = np.array([0.0, -0.8027, 1.5588, 0.8147, 0.0, 0.0])
+HOME = np.array([0.0, -0.8099, 1.551, 0.8296, 0.0, 0.0])
 """(6,) ready configuration, radians: facing +x, the grapple pointing straight down, `TCP_SITE` near (6.3, 0, 2.2)."""
 
 THETA_RANGE = (-0.4237, 0.2014)
@@ -83,7 +83,7 @@ def _pad_vertices() -> Float[np.ndarray, "N 3"]:
     turn = 2 * np.pi * np.arange(20) / 20
     around = np.column_stack([np.zeros(20), np.cos(turn), np.sin(turn)])
     bulge = np.radians([0.0, 30.0, 58.0])
-    half = 0.25 + 0.1 * np.sin(bulge)
+    half = 0.12 + 0.1 * np.sin(bulge)
     rings = [
         around * 0.1 * np.cos(b) + [side * x, 0.0, 0.9] for side in (-1, 1) for b, x in zip(bulge, half, strict=True)
     ]

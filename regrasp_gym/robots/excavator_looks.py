@@ -179,21 +179,17 @@ def _jaw() -> Parts:
         (-0.055, 0.1),
     ]
     ribs = [plate(rib, x - 0.02, x + 0.02, "x") for x in (-0.11, 0.11)]
-    wings = [
-        plate([(0.02, 0.55), (0.1, 0.55), (0.09, 0.95), (0.0, 0.95)], x - 0.018, x + 0.018, "x")
-        for x in (-0.225, 0.225)
-    ]
-    back = [box((-0.13, 0.07, 0.12), (0.13, 0.11, 0.6)), box((-0.245, 0.06, 0.55), (0.245, 0.1, 0.9))]
+    back = [box((-0.13, 0.07, 0.12), (0.13, 0.11, 0.9))]
     hinge = pin((0, 0, 0), 0.095, 0.14, "x")
-    core = pin((0, 0, 0.9), 0.085, 0.25, "x")
+    core = pin((0, 0, 0.9), 0.085, 0.12, "x")
     teeth: list[Look] = []
     for turn in np.arange(0, 2 * np.pi, np.pi / 8):
         c, s = np.cos(turn), np.sin(turn)
         corners = np.array([(0.08, -0.014), (0.08, 0.014), (0.1, 0.0)]) @ np.array([[c, s], [-s, c]])
-        teeth += [plate([(y, 0.9 + z) for y, z in corners], x - 0.04, x + 0.04, "x") for x in np.linspace(-0.2, 0.2, 5)]
+        teeth += [plate([(y, 0.9 + z) for y, z in corners], x - 0.04, x + 0.04, "x") for x in (-0.08, 0.0, 0.08)]
     dome = revolve([(0.0975 * np.cos(a), 0.0975 * np.sin(a)) for a in np.linspace(0, np.pi / 2, 7)], 28)
     tips = [
-        dome.rotated(np.array([[0, 0, s], [0, 1, 0], [-s, 0, 0]], float)).shifted(np.array([0.25 * s, 0, 0.9]))
+        dome.rotated(np.array([[0, 0, s], [0, 1, 0], [-s, 0, 0]], float)).shifted(np.array([0.12 * s, 0, 0.9]))
         for s in (-1, 1)
     ]
-    return {"paint": [*ribs, *wings, *back], "steel": [hinge, core, *tips, *teeth]}
+    return {"paint": [*ribs, *back], "steel": [hinge, core, *tips, *teeth]}

@@ -1,9 +1,30 @@
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
+
+# Helpers beside the tests are imported by name.
+sys.path.insert(0, str(Path(__file__).parent))
+from scenario_facts import SCENARIOS, Facts
+
+
+@pytest.fixture(scope="session", params=SCENARIOS, ids=lambda facts: facts.name)
+def facts(request: pytest.FixtureRequest) -> Facts:
+    """Each scenario in turn."""
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def env(facts: Facts) -> Iterator[gym.Env]:
+    """An environment of each scenario in turn, with state observations and joint positions as actions."""
+    made = facts.make()
+    yield made
+    made.close()
 
 
 @pytest.fixture

@@ -3,19 +3,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from scenario_facts import EXCAVATOR, PANDA
 
 import regrasp_gym
 from regrasp_gym.errors import OptionError
 from regrasp_planner import Reason, SegmentKind
-
-DIRECT_SEED, REGRASP_SEED = 3, 2
-
-
-@pytest.fixture(scope="module")
-def env():
-    env = gym.make("regrasp_gym/PandaYCB-v0")
-    yield env
-    env.close()
 
 
 def run(env, expert, seed, interfere=lambda expert: None):
@@ -31,25 +23,25 @@ def run(env, expert, seed, interfere=lambda expert: None):
     return np.array(actions), info
 
 
-def test_one_grasp_is_executed_by_friction(env):
+def test_one_grasp_is_executed_by_friction(facts, env):
     expert = regrasp_gym.PlannerExpert(env)
-    actions, info = run(env, expert, DIRECT_SEED)
+    actions, info = run(env, expert, facts.direct_seed)
     assert info["is_success"], expert.failure
     assert expert.failure is None
     assert expert.stage_index == len(expert.plan.stages) == 1
-    again, _ = run(env, expert, DIRECT_SEED)
+    again, _ = run(env, expert, facts.direct_seed)
     np.testing.assert_array_equal(actions, again)
 
 
-def test_a_regrasp_is_executed_by_friction(env):
-    expert = regrasp_gym.PlannerExpert(env, strategy="static")
+def test_a_regrasp_is_executed_by_friction(facts, env):
+    expert = regrasp_gym.PlannerExpert(env)
     seen = []
 
     def watch(expert):
         if expert.segment is not None and expert.segment.kind not in seen[-1:]:
             seen.append(expert.segment.kind)
 
-    _, info = run(env, expert, REGRASP_SEED, watch)
+    _, info = run(env, expert, facts.regrasp_seed, watch)
     assert info["is_success"], expert.failure
     assert len(expert.plan.stages) == 2
     assert expert.stage_index == 2
@@ -58,24 +50,28 @@ def test_a_regrasp_is_executed_by_friction(env):
     assert seen.count(SegmentKind.CLOSE) == seen.count(SegmentKind.OPEN) == 2
 
 
-def test_the_expert_acts_through_gripper_moves_too():
-    env = gym.make("regrasp_gym/PandaYCB-v0", control_mode="ee_delta")
+@pytest.mark.parametrize(
+    "facts", [PANDA, pytest.param(EXCAVATOR, marks=pytest.mark.slow)], ids=lambda facts: facts.name
+)
+def test_the_expert_acts_through_gripper_moves_too(facts):
+    env = facts.make(control_mode="ee_delta")
     expert = regrasp_gym.PlannerExpert(env)
-    _, info = run(env, expert, DIRECT_SEED)
+    _, info = run(env, expert, facts.direct_seed)
     assert info["is_success"], expert.failure
+    env.close()
 
 
-def test_a_lost_target_is_noticed(env):
+def test_a_lost_target_is_noticed(facts, env):
     expert = regrasp_gym.PlannerExpert(env)
     inner = env.unwrapped
 
     def steal(expert):
         if expert.segment is not None and expert.segment.kind is SegmentKind.TRANSFER:
             pose = inner.world.target_pose.copy()
-            pose[4:] = [3.0, 3.0, 0.5]
+            pose[4:] = facts.out_of_reach
             inner.world.set_object_pose(inner.scene.target.name, pose)
 
-    _, info = run(env, expert, DIRECT_SEED, steal)
+    _, info = run(env, expert, facts.direct_seed, steal)
     assert not info["is_success"]
     assert expert.failure.reason in (Reason.LOST_GRASP, Reason.SETTLED_ELSEWHERE)
     assert expert.failure.message
