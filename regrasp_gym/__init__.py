@@ -32,6 +32,9 @@ def _choose_renderer() -> None:
 def _register() -> None:
     entries = {
         "PandaYCB-v0": ("panda_ycb:PandaYCBEnv", 1000),
+        "PandaYCBLift-v0": ("panda_lift:PandaYCBLiftEnv", 150),
+        "PandaYCBDirect-v0": ("panda_tasks:PandaYCBDirectEnv", 1000),
+        "PandaYCBRegrasp-v0": ("panda_tasks:PandaYCBRegraspEnv", 1000),
         "ExcavatorStones-v0": ("excavator_stones:ExcavatorStonesEnv", 2000),
     }
     for name, (entry_point, steps) in entries.items():

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.errors import OptionError
-from regrasp_planner import Failure, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy, plan
+from regrasp_planner import Failure, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy
 
 Command = Float[np.ndarray, " n+1"]
 Script = Generator[Command, None, Failure | None]
@@ -242,7 +242,7 @@ class PlannerExpert:
         return bool(apart and world.target_contacts()[0])
 
     def _plan(self, known_grasps: tuple = ()) -> Plan:
-        return plan(self.env.task(), self.env.planner_robot, self.strategy, self.seed, self.plan_options, known_grasps)
+        return self.env.plan(self.strategy, self.seed, self.plan_options, known_grasps)
 
     @staticmethod
     def _failed(reason: Reason, stage: Stage, constraint: str, message: str) -> Failure:

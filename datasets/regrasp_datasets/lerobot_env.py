@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
+from lerobot.envs.utils import freeze_after_episode_end
 
 from regrasp_datasets.features import (
     ACTION,
@@ -87,7 +88,8 @@ class RegraspEnvConfig(EnvConfig):
         obs_type: one of `OBS_TYPES`.
         control_mode: ``joint_pos`` or ``ee_delta``.
         image_size: edge of the camera images, pixels.
-        episode_length: steps after which an episode is cut off.
+        episode_length: steps after which an episode is cut off; the environment's own by default.
+        split: which of the listed scenes to take, in environments that have lists.
         terminate_on_success: end an episode once the task counts as solved.
     """
 
@@ -96,7 +98,8 @@ class RegraspEnvConfig(EnvConfig):
     obs_type: str = OBS_TYPES[0]
     control_mode: str = "joint_pos"
     image_size: int = 128
-    episode_length: int = 1000
+    episode_length: int | None = None
+    split: str | None = None
     terminate_on_success: bool = True
     render_mode: str = "rgb_array"
     features: dict[str, PolicyFeature] = field(default_factory=dict)
@@ -129,18 +132,20 @@ class RegraspEnvConfig(EnvConfig):
     def gym_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of ``gym.make``."""
         images = "pixels" in self.obs_type
+        chosen = {"max_episode_steps": self.episode_length, "split": self.split}
         return {
             "obs_type": IMAGES_OBS_TYPE if images else VECTORS_OBS_TYPE,
             "control_mode": self.control_mode,
             "image_size": (self.image_size, self.image_size),
             "render_mode": self.render_mode,
             "terminate_on_success": self.terminate_on_success,
-            "max_episode_steps": self.episode_length,
+            **{key: value for key, value in chosen.items() if value is not None},
         }
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """``n_envs`` environments side by side, as ``{type: {0: vector environment}}``."""
-        makers = [self._make for _ in range(n_envs)]
+        # An episode that is over waits for the others of its batch at no cost.
+        makers = [freeze_after_episode_end(self._make) for _ in range(n_envs)]
         mode = gym.vector.AutoresetMode.SAME_STEP
         if use_async_envs and n_envs > 1:
             vector = gym.vector.AsyncVectorEnv(makers, context="forkserver", autoreset_mode=mode)

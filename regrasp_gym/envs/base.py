@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -19,6 +19,7 @@ from regrasp_gym.errors import OptionError, StateError
 from regrasp_gym.scenes.scene import Scene
 
 if TYPE_CHECKING:
+    from regrasp_planner import Grasp, Plan, PlanOptions, Strategy
     from regrasp_planner.robot import Robot
     from regrasp_planner.scene import Task
 
@@ -33,6 +34,7 @@ class EnvState:
     """All that the future of an episode depends on, but for wrappers.
 
     Attributes:
+        joints: names of the arm's joints.
         scene: the scene.
         physics: (s,) state of the simulation, MuJoCo's mjSTATE_INTEGRATION.
         command: (n + 1,) last command of the controller.
@@ -40,6 +42,7 @@ class EnvState:
         random: state of the generator that draws the next scene's seed.
     """
 
+    joints: tuple[str, ...]
     scene: Scene
     physics: Float[np.ndarray, " s"]
     command: Float[np.ndarray, " n+1"]
@@ -228,6 +231,22 @@ class RegraspEnv(gymnasium.Env):
         """The planner's task from the present state: objects are where they are now."""
         return make_task(self.world)
 
+    def plan(
+        self,
+        strategy: Strategy | str,
+        seed: int = 0,
+        options: PlanOptions | None = None,
+        known_grasps: Sequence[Grasp] = (),
+    ) -> Plan:
+        """The planner's plan of the task from the present state: what the expert follows. See `regrasp_planner.plan`.
+
+        Environments whose goal is not a place to put something down plan in their own way.
+        """
+        # Imported here because it loads JAX, which stepping an environment does not need.
+        from regrasp_planner import plan
+
+        return plan(self.task(), self.planner_robot, strategy, seed, options, known_grasps)
+
     def picture(self, camera: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
         """A picture with smooth edges from any camera of the model, with a translucent target at the goal.
 
@@ -245,9 +264,10 @@ class RegraspEnv(gymnasium.Env):
 
     def get_state(self) -> EnvState:
         """All that the future of the episode depends on; `set_state` continues from it to the last bit."""
-        return EnvState(
-            self.scene, self.world.get_state(), self._command.copy(), self._elapsed, self.np_random.bit_generator.state
-        )
+        random = self.np_random.bit_generator.state
+        world = self.world
+        joints = self.scenario.robot.arm_joints
+        return EnvState(joints, world.scene, world.get_state(), self._command.copy(), self._elapsed, random)
 
     def set_state(self, state: EnvState) -> dict:
         """Go back to a saved state, of this environment or of another one of the same id, and return its observation.
@@ -257,8 +277,8 @@ class RegraspEnv(gymnasium.Env):
         """
         if not isinstance(state, EnvState):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise StateError(f"{type(state).__name__} is no saved state; give what get_state() returned")
-        if state.command.shape != self._command.shape:
-            raise StateError(f"the state is of another robot: it has {len(state.command)} commands")
+        if state.joints != self.scenario.robot.arm_joints:
+            raise StateError(f"the state is of another robot, with the joints {', '.join(state.joints)}")
         if self._world is None or state.scene is not self._world.scene:
             self._world = World(self._base, self.scenario.robot, state.scene)
         self._world.set_state(state.physics)

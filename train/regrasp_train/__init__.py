@@ -1,1 +1,1 @@
-"""Layer 4: where behaviour cloning and reinforcement learning on the environments and datasets belong."""
+"""Learning on top of the environments and datasets: behaviour cloning, reinforcement learning, evaluation."""

@@ -1,0 +1,139 @@
+"""Scenes of the lifting task: one object on an otherwise empty table, to be held a little above where it stood.
+
+A scene is a function of a seed and a `LiftConfig`, and of nothing else. The robot's base is the world's origin, the
+table top is z = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from regrasp_gym.errors import SceneError
+from regrasp_gym.objects.ycb import OBJECTS
+from regrasp_gym.scenes.resting import resting_poses
+from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
+
+
+@dataclass(frozen=True)
+class LiftConfig:
+    """Everything about the scenes that can be tuned. Lengths in metres, angles in radians.
+
+    Attributes:
+        targets: names of the objects that may have to be lifted.
+        center, size: rectangle in which the target's middle starts, middle and full size.
+        yaw: the target's narrow sides are turned by up to ± this from facing left and right.
+        height: by how much the target is to be lifted.
+        max_opening, opening_margin: of the gripper: as they lie, targets are narrower than the one minus the other.
+        table_center, table_size: middle of the table top, and its length, width and thickness.
+    """
+
+    targets: tuple[str, ...] = ("061_foam_brick",)
+    center: tuple[float, float] = (0.48, 0.0)
+    size: tuple[float, float] = (0.12, 0.16)
+    yaw: float = 0.4
+    height: float = 0.1
+    max_opening: float = 0.08
+    opening_margin: float = 0.004
+    table_center: tuple[float, float] = (0.32, 0.02)
+    table_size: tuple[float, float, float] = (1.2, 1.5, 0.04)
+
+    def __post_init__(self) -> None:
+        if not self.targets:
+            raise SceneError("targets is empty; name at least one object")
+        for name in self.targets:
+            if name not in OBJECTS:
+                raise SceneError(f"unknown object {name!r}; the objects are {', '.join(OBJECTS)}")
+            least = min(pose.level_width for pose in resting_poses(OBJECTS[name]))
+            if least > self.max_opening - self.opening_margin:
+                raise SceneError(
+                    f"target {name!r} is {1e3 * least:.0f} mm wide however it lies; the gripper takes at most "
+                    f"{1e3 * (self.max_opening - self.opening_margin):.0f} mm"
+                )
+        if self.height <= 0:
+            raise SceneError(f"height is {self.height}; give a height above 0 metres")
+
+
+@dataclass(frozen=True, eq=False)
+class LiftScene:
+    """One scene: pure data.
+
+    Attributes:
+        seed, config: what it was made from.
+        target: the object to be lifted and where it starts.
+        goal_pose: (7,) where it is to be held.
+        fixtures: the table.
+        release: where it starts; nothing is put down in this task.
+        others: none.
+    """
+
+    seed: int
+    config: LiftConfig
+    target: PlacedObject
+    goal_pose: Pose
+    fixtures: tuple[Fixture, ...]
+    release: ReleasePatch
+    others: tuple[PlacedObject, ...] = ()
+
+    @property
+    def instruction(self) -> str:
+        """The task in words."""
+        return f"lift the {self.target.model.label} by {100 * self.config.height:.0f} cm"
+
+
+def make_scene(seed: int, config: LiftConfig | None = None) -> LiftScene:
+    """The scene of a seed.
+
+    The target lies in the likeliest of the resting poses in which the gripper fits over it, at a random place, turned
+    at random by up to ``config.yaw`` from where its narrow sides face left and right.
+
+    Args:
+        seed: a non-negative integer.
+        config: the default one if None.
+
+    Raises:
+        SceneError: negative seed.
+    """
+    config = config or LiftConfig()
+    if seed < 0:
+        raise SceneError(f"scene seed is {seed}; give a non-negative integer")
+    rng = np.random.default_rng([seed, 0x11F7])
+    model = OBJECTS[str(rng.choice(config.targets))]
+    limit = config.max_opening - config.opening_margin
+    resting = next(pose for pose in resting_poses(model) if pose.level_width <= limit)
+    across = resting.level_axis
+    yaw = _nearest_half_turn(np.pi / 2 - np.arctan2(across[1], across[0])) + rng.uniform(-config.yaw, config.yaw)
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ resting.rotation
+    half = np.array(config.size) / 2
+    middle = np.array(config.center) + rng.uniform(-half, half)
+    start = np.concatenate([_quaternion(rotation), middle, [resting.height]])
+    length, width, thick = config.table_size
+    table = Fixture(
+        "table",
+        np.array([length, width, thick]),
+        np.array([1.0, 0.0, 0.0, 0.0, *config.table_center, -thick / 2]),
+        "table",
+        support=True,
+    )
+    return LiftScene(
+        seed=int(seed),
+        config=config,
+        target=PlacedObject(model, start),
+        goal_pose=start + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, config.height]),
+        fixtures=(table,),
+        release=ReleasePatch(np.array([*config.center, 0.0]), half),
+    )
+
+
+def _nearest_half_turn(angle: float) -> float:
+    """The same direction of an axis, turned by at most a right angle."""
+    return float((angle + np.pi / 2) % np.pi - np.pi / 2)
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return quaternion if quaternion[0] >= 0 else -quaternion

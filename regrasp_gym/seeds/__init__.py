@@ -1,0 +1,46 @@
+"""Shipped lists of scenes by difficulty, made by ``regrasp-certify``; and how seeds are split for learning."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from importlib.resources import files
+
+from regrasp_gym.errors import SceneError
+
+SPLITS = ("train", "val", "test")
+"""What a learner learns from, is tuned on, and is judged by. No scene is in two of them."""
+
+FIRST_SEED = {"train": 0, "val": 500_000_000, "test": 1_000_000_000}
+"""First seed of each split in environments whose seeds are scenes without end. Collections begin at 0."""
+
+
+def split_of(scene_seed: int) -> str:
+    """The split that a listed scene belongs to: every tenth is for validation, and every fifth for the test.
+
+    It depends on the scene's seed alone, so that a longer list is a shorter one with something added.
+    """
+    last = scene_seed % 10
+    return "val" if last == 9 else "test" if last in (3, 7) else "train"
+
+
+@lru_cache(maxsize=8)
+def read_seeds(name: str) -> dict[str, tuple[int, ...]]:
+    """Scene seeds by split.
+
+    Args:
+        name: of the list, a JSON file of this package.
+
+    Raises:
+        SceneError: the file is missing, or a split of it is empty.
+    """
+    try:
+        listed = json.loads((files("regrasp_gym.seeds") / f"{name}.json").read_text())["scenes"]
+    except (OSError, ValueError, KeyError) as error:
+        message = f"the list of scenes {name!r} cannot be read ({error}); make it with regrasp-certify"
+        raise SceneError(message) from error
+    seeds = {split: tuple(listed.get(split, ())) for split in SPLITS}
+    for split, scenes in seeds.items():
+        if not scenes:
+            raise SceneError(f"the list of scenes {name!r} has none for {split!r}; extend it with regrasp-certify")
+    return seeds

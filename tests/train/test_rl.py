@@ -1,0 +1,196 @@
+"""Reinforcement learning: environments, demonstrations in the replay buffer, a run, its resumption and evaluation."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from conftest import LIFT
+
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("tensorboard")
+
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from regrasp_train.checkpoints import checkpoints_in
+from regrasp_train.demonstrations import (
+    DemonstrationReplayBuffer,
+    check_demonstrations,
+    demonstration_buffer,
+    read_demonstrations,
+)
+from regrasp_train.errors import MismatchError, RunError
+from regrasp_train.evaluate import EvalCommand, evaluate
+from regrasp_train.goal_features import GoalFeatures
+from regrasp_train.learning_curve import read_points
+from regrasp_train.rl import RlCommand, train
+from regrasp_train.rl_envs import make_judging_env, make_learning_env
+
+pytestmark = pytest.mark.rl
+
+KWARGS = {"control_mode": "ee_delta", "reward_type": "sparse"}
+
+TINY = """
+default:
+  n_envs: {n_envs}
+  n_timesteps: 400
+  env_kwargs: {{control_mode: ee_delta, reward_type: {reward}}}
+  policy: MultiInputPolicy
+  batch_size: 32
+  policy_kwargs: {{net_arch: [32, 32]}}
+"""
+SAC = TINY + "  buffer_size: 2000\n  learning_starts: 160\n  gradient_steps: 1\n  train_freq: 8\n"
+PPO = TINY + "  n_steps: 64\n  n_epochs: 1\n"
+
+
+@pytest.fixture
+def sac(tmp_path):
+    file = tmp_path / "sac.yml"
+    file.write_text(SAC.format(n_envs=1, reward="sparse"))
+    return str(file)
+
+
+def options(tmp_path, config, **changes):
+    quick = {"steps": 320, "save_every": 160, "eval_every": 160, "eval_episodes": 1, "progress": False, "device": "cpu"}
+    return RlCommand(run=tmp_path / "run", config=config, **quick | changes)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_learning_environment_is_one_for_stable_baselines():
+    env = make_learning_env(LIFT, KWARGS)
+    check_env(env)
+    observation, _ = env.reset(seed=1)
+    assert {value.dtype for value in observation.values()} == {np.dtype("float32")}
+    env.close()
+
+
+def test_judging_goes_through_the_validation_scenes_in_turn():
+    env = make_judging_env(LIFT, KWARGS, 2)
+    seeds = [env.reset()[1]["scene_seed"] for _ in range(3)]
+    assert seeds == [500_000_000, 500_000_001, 500_000_000]
+    env.close()
+
+
+def test_features_say_where_the_target_is():
+    import torch
+
+    env = make_learning_env(LIFT, KWARGS)
+    observation, _ = env.reset(seed=1)
+    features = GoalFeatures(env.observation_space)
+    batch = {key: torch.as_tensor(value)[None] for key, value in observation.items()}
+    out = features(batch)[0].numpy()
+    assert out.shape == (features.features_dim,)
+    world = env.unwrapped.world
+    np.testing.assert_allclose(out[-6:-3], 10 * (world.target_pose[4:] - world.gripper_pose[4:]), atol=1e-4)
+    np.testing.assert_allclose(out[-3:], [0, 0, 1.0], atol=1e-4)
+    assert np.abs(out).max() < 5
+    env.close()
+
+
+@pytest.mark.lerobot
+def test_demonstrations_are_exact_and_a_share_of_each_batch(lifts):
+    check_demonstrations(lifts, LIFT, "ee_delta")
+    env = make_learning_env(LIFT, KWARGS)
+    episodes = read_demonstrations(lifts, env)
+    assert len(episodes) == 3
+    for episode in episodes:
+        rewards = [reward for *_, reward, _ in episode]
+        assert rewards[-1] == 0
+        assert set(rewards[:20]) == {-1}
+        assert [last for *_, last in episode] == [False] * (len(episode) - 1) + [True]
+        for before, after in itertools.pairwise(episode):
+            np.testing.assert_array_equal(before[1]["observation"], after[0]["observation"])
+
+    vector = DummyVecEnv([lambda: make_learning_env(LIFT, KWARGS)])
+    buffer = DemonstrationReplayBuffer(500, env.observation_space, env.action_space, vector, demo_share=0.25)
+    buffer.demos = demonstration_buffer(episodes, buffer, vector)
+    # Nothing of its own yet: all of the batch is demonstrations.
+    batch = buffer.sample(64)
+    assert batch.actions.shape == (64, 7)
+    assert float(batch.dones.max()) == 0
+    # An episode of its own in which nothing moves, told from demonstrations by its actions.
+    observation, _ = env.reset(seed=9)
+    one = {key: value[None] for key, value in observation.items()}
+    for k in range(10):
+        buffer.add(one, one, np.full((1, 7), 0.123, np.float32), np.array([-1.0]), np.array([k == 9]), [{}])
+    actions = buffer.sample(64).actions.numpy()
+    assert (np.abs(actions - 0.123) < 1e-6).all(axis=1).sum() == 48
+    vector.close()
+    env.close()
+
+
+@pytest.mark.lerobot
+def test_demonstrations_of_another_kind_are_refused(tmp_path, sac, lifts):
+    with pytest.raises(MismatchError, match=r"with 'ee_delta'.*--control-mode joint_pos"):
+        check_demonstrations(lifts, LIFT, "joint_pos")
+    with pytest.raises(MismatchError, match="does not fit regrasp_gym/PandaYCB-v0"):
+        train(options(tmp_path, sac, demos=lifts, env="regrasp_gym/PandaYCB-v0"))
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(RunError, match="--algo ppo"):
+        train(options(tmp_path, None, demos=lifts, algo="ppo"))
+
+
+def test_a_run_goes_on_and_is_evaluated(tmp_path, sac):
+    run = tmp_path / "run"
+    train(options(tmp_path, sac))
+    assert [path.name for path in checkpoints_in(run / "checkpoints")] == ["000000160", "000000320"]
+    assert [path.parent.name for path in run.glob("checkpoints/*/replay_buffer.pkl")] == ["000000320"]
+    with pytest.raises(RunError, match="--resume"):
+        train(options(tmp_path, sac))
+    report, plot = tmp_path / "curve.json", tmp_path / "curve.png"
+    train(options(tmp_path, sac, steps=480, resume=True, json=report, plot=plot))
+    points = read_points(run / "curve.jsonl")
+    assert [point.steps for point in points] == [160, 320, 480]
+    assert [point.seconds for point in points] == sorted(point.seconds for point in points)
+    (curve,) = json.loads(report.read_text())["curves"].values()
+    assert len(curve) == 3
+    assert plot.exists()
+    assert list(run.glob("tensorboard*/events*"))
+
+    summary = tmp_path / "eval.json"
+    command = EvalCommand(str(run / "model.zip"), episodes=1, records=tmp_path / "eval.jsonl", json_file=summary)
+    assert evaluate(command) == 0
+    found = json.loads(summary.read_text())
+    assert found["env"] == LIFT
+    assert found["episodes"] == 1
+    assert found["seeds"] == [1_000_000_000, 1_000_000_000]
+    with pytest.raises(MismatchError, match="was trained with the observation space"):
+        evaluate(EvalCommand(str(run / "model.zip"), env="regrasp_gym/PandaYCB-v0", records=tmp_path / "e.jsonl"))
+
+
+def test_nothing_to_go_on_from(tmp_path):
+    with pytest.raises(RunError, match="no checkpoint"):
+        train(RlCommand(run=tmp_path / "nowhere", resume=True))
+
+
+def test_ppo_learns_in_several_environments(tmp_path):
+    file = tmp_path / "ppo.yml"
+    file.write_text(PPO.format(n_envs=2, reward="dense"))
+    train(options(tmp_path, str(file), algo="ppo", steps=256, eval_every=128))
+    assert (tmp_path / "run" / "model.zip").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.lerobot
+def test_a_killed_run_goes_on(tmp_path, sac, lifts):
+    run = tmp_path / "run"
+    arguments = [sys.executable, "-m", "regrasp_train.rl", "--run", str(run), "--config", sac, "--no-progress"]
+    arguments += ["--device", "cpu", "--save-every", "160", "--eval-every", "100000", "--demos", str(lifts)]
+    process = subprocess.Popen([*arguments, "--steps", "1000000"])
+    deadline = time.monotonic() + 120
+    while len(checkpoints_in(run / "checkpoints")) < 2:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    steps = int(checkpoints_in(run / "checkpoints")[-1].name)
+    train(options(tmp_path, sac, steps=steps + 80, eval_every=10**6, resume=True))
+    assert checkpoints_in(run / "checkpoints")[-1].name == f"{steps + 80:09d}"

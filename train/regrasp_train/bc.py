@@ -1,0 +1,264 @@
+"""``regrasp-train-bc``: behaviour cloning with LeRobot's own trainer, its arguments filled in for our environments."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from regrasp_datasets.quiet import quiet_environment
+from regrasp_gym.seeds import FIRST_SEED
+from regrasp_train.configs import read_config
+from regrasp_train.errors import MismatchError, RunError, TrainError, require_extra
+from regrasp_train.threads import threads
+
+PLUGIN = "regrasp_datasets.lerobot_env"
+"""What LeRobot imports to know of our environments."""
+
+
+@dataclass(frozen=True)
+class BcCommand:
+    """Train a policy on demonstrations with LeRobot's trainer.
+
+    Fills in what lerobot-train needs to know about a dataset of regrasp-collect and its environment, prints that
+    command, and runs it. Checkpoints are LeRobot's own: RUN/checkpoints/last/pretrained_model is for regrasp-eval and
+    for lerobot-eval.
+    """
+
+    run: Path
+    """Folder of the run; it must not exist, unless --resume is given."""
+    dataset: Path | None = None
+    """Folder of the dataset; not needed with --resume."""
+    env: str | None = None
+    """Gymnasium id; by default that of the dataset. It must have the dataset's features."""
+    config: str = "bc-state"
+    """Hyper-parameters: bc-state, bc-images, or a YAML file like them."""
+    steps: int | None = None
+    """Training steps, instead of the config's."""
+    batch_size: int | None = None
+    """Frames per step, instead of the config's."""
+    save_every: int | None = None
+    """Steps between checkpoints, instead of the config's."""
+    eval_every: int = 0
+    """Steps between evaluations in validation scenes; 0 leaves them to regrasp-eval."""
+    eval_episodes: int = 10
+    """Episodes of each of these evaluations."""
+    device: str | None = None
+    """cpu, cuda or mps; what is there by default."""
+    seed: int = 0
+    """Of weights and of the order of the data."""
+    resume: bool = False
+    """Go on from the last checkpoint of the run."""
+
+
+def main() -> int:
+    """Entry point of ``regrasp-train-bc``: 0 if done, 2 for wrong use, 130 for Ctrl-C."""
+    ours, extra = _split(sys.argv[1:])
+    command = tyro.cli(BcCommand, prog="regrasp-train-bc", description=BcCommand.__doc__, args=ours)
+    shows_progress = "TQDM_DISABLE" not in os.environ
+    quiet_environment()
+    if shows_progress:
+        del os.environ["TQDM_DISABLE"]
+    from regrasp_datasets.records import DatasetError
+    from regrasp_datasets.rollout import RolloutError
+
+    try:
+        require_extra("regrasp-train-bc", "lerobot")
+        train(command, extra)
+    except (TrainError, DatasetError, RolloutError) as error:
+        print(f"regrasp-train-bc: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"regrasp-train-bc: interrupted; go on with --run {command.run} --resume", file=sys.stderr)
+        return 130
+    return 0
+
+
+def train(command: BcCommand, extra: Sequence[str] = ()) -> None:
+    """Do what ``command`` says.
+
+    Args:
+        command: the options.
+        extra: further arguments for LeRobot's trainer.
+
+    Raises:
+        RunError: the folder of the run, or the config, cannot be used.
+        MismatchError: the environment's features are not those of the dataset.
+        DatasetError: there is no whole dataset.
+        RolloutError: the environment cannot be made.
+    """
+    arguments = [*(resumed(command) if command.resume else fresh(command)), *extra]
+    Console().print(f"lerobot-train {shlex.join(arguments)}", highlight=False, soft_wrap=True)
+
+    import torch
+    from lerobot.configs.parser import load_plugin
+    from lerobot.scripts.lerobot_train import train as lerobot_train
+
+    load_plugin(PLUGIN)
+    torch.set_num_threads(threads())
+    # LeRobot's trainer reads the command line again where it resumes, so that is where its arguments have to be.
+    before = sys.argv
+    sys.argv = ["lerobot-train", *arguments]
+    try:
+        lerobot_train()  # pyright: ignore[reportCallIssue]
+    finally:
+        sys.argv = before
+
+
+def fresh(command: BcCommand) -> list[str]:
+    """Arguments for LeRobot's trainer that begin a run."""
+    from regrasp_datasets.records import read_episodes
+
+    if command.dataset is None:
+        raise RunError("--dataset is missing: give the folder of a dataset, made by regrasp-collect")
+    if command.run.exists():
+        raise RunError(f"{command.run} exists already: add --resume to go on with it, or choose another --run")
+    records = read_episodes(command.dataset)
+    config = read_config(command.config)
+    device = command.device or best_device()
+    env_id = command.env or records[0].env_id
+    recorded = records[0].env_kwargs
+    obs_type = config["obs_type"]
+    if env_id != records[0].env_id:
+        # The list of scenes is the other environment's.
+        recorded = {key: value for key, value in recorded.items() if key != "split"}
+    inputs = check_dataset(command.dataset, env_id, recorded, obs_type)
+    image_size = recorded.get("image_size", (128, 128))[0]
+    settings = merged(config["train"], config["gpu"]) if device != "cpu" else config["train"]
+    settings = merged(
+        # LeRobot evaluates in the scenes from its seed on: they have to be others than those learnt from.
+        {"num_workers": 0, "seed": FIRST_SEED["val"] + command.seed, "wandb": {"enable": False}},
+        settings,
+        {
+            "dataset": {"repo_id": f"regrasp-gym/{command.dataset.name}", "root": str(command.dataset)},
+            "output_dir": str(command.run),
+            "policy": {"device": device, "push_to_hub": False, "input_features": inputs},
+            "env": {
+                "discover_packages_path": PLUGIN,
+                "type": "regrasp",
+                "task": env_id.removeprefix("regrasp_gym/"),
+                "obs_type": obs_type,
+                "control_mode": recorded.get("control_mode", "joint_pos"),
+                "image_size": image_size,
+                **({"split": "val"} if "split" in recorded else {}),
+            },
+            "env_eval_freq": command.eval_every,
+            "eval": {"n_episodes": command.eval_episodes, "batch_size": 2},
+        },
+    )
+    chosen = {"steps": command.steps, "batch_size": command.batch_size, "save_freq": command.save_every}
+    settings = merged(settings, {key: value for key, value in chosen.items() if value is not None})
+    return flattened(settings)
+
+
+def resumed(command: BcCommand) -> list[str]:
+    """Arguments for LeRobot's trainer that go on with a run."""
+    saved = command.run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
+    if not saved.exists():
+        raise RunError(f"{command.run} holds no checkpoint to go on from ({saved} is missing)")
+    arguments = [f"--env.discover_packages_path={PLUGIN}", f"--config_path={saved}", "--resume=true"]
+    chosen = {"steps": command.steps, "save_freq": command.save_every}
+    return arguments + flattened({key: value for key, value in chosen.items() if value is not None})
+
+
+def check_dataset(root: Path, env_id: str, recorded: dict[str, Any], obs_type: str) -> dict[str, Any]:
+    """The policy's inputs, which both the dataset and the environment have.
+
+    Args:
+        root: folder of the dataset.
+        env_id: Gymnasium id of the environment.
+        recorded: keyword arguments of ``gym.make`` that the dataset was recorded with.
+        obs_type: what the policy sees, as in `regrasp_datasets.lerobot_env`.
+
+    Returns:
+        Feature → its type and shape, as LeRobot's policies want them.
+
+    Raises:
+        MismatchError: one of the features differs, or the dataset has no images and the policy wants some.
+    """
+    from regrasp_datasets.features import ACTION, ENVIRONMENT_STATE, IMAGE_PREFIX, STATE, features_of
+    from regrasp_datasets.rollout import make_env
+
+    table = json.loads((root / "meta" / "info.json").read_text())["features"]
+    images = "pixels" in obs_type
+    if images and not any(key.startswith(IMAGE_PREFIX) for key in table):
+        raise MismatchError(f"{root} holds no images: train with --config bc-state, or collect without --no-images")
+    kwargs = {key: value for key, value in recorded.items() if key in ("control_mode", "image_size", "split")}
+    env = make_env(env_id, kwargs | {"obs_type": "pixels_agent_pos" if images else "state"})
+    features = features_of(env)
+    env.close()
+    kinds = {STATE: "STATE", ENVIRONMENT_STATE: "ENV", ACTION: "ACTION"}
+    wanted = {STATE, ACTION} | ({ENVIRONMENT_STATE} if "environment_state" in obs_type else set())
+    wanted |= {key for key in features if images and key.startswith(IMAGE_PREFIX)}
+    for key in sorted(wanted):
+        have = (tuple(table[key]["shape"]), table[key]["names"]) if key in table else None
+        needs = (tuple(features[key]["shape"]), features[key]["names"])
+        if have != needs:
+            raise MismatchError(
+                f"{root} does not fit {env_id}: its {key} is {describe(have)}, the environment's {describe(needs)}. "
+                "Give --env the environment it was collected in, or collect in this one."
+            )
+    inputs: dict[str, Any] = {}
+    for key in sorted(wanted - {ACTION}):
+        height, *others = features[key]["shape"]
+        shape = [others[1], height, others[0]] if others else [height]
+        inputs[key] = {"type": kinds.get(key, "VISUAL"), "shape": shape}
+    return inputs
+
+
+def describe(feature: tuple[tuple[int, ...], list[str] | None] | None) -> str:
+    """A feature's shape and the names of its first entries, for messages."""
+    if feature is None:
+        return "missing"
+    shape, names = feature
+    return f"{shape}" + (f" of {', '.join(names[:3])}, …" if names else "")
+
+
+def best_device() -> str:
+    """What torch can compute on fastest here."""
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    return "mps" if torch.backends.mps.is_available() else "cpu"
+
+
+def merged(*tables: dict[str, Any]) -> dict[str, Any]:
+    """Tables one over the other, the later ones' entries winning, tables within them likewise."""
+    result: dict[str, Any] = {}
+    for table in tables:
+        for key, value in table.items():
+            old = result.get(key)
+            result[key] = merged(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return result
+
+
+def flattened(settings: dict[str, Any], prefix: str = "") -> list[str]:
+    """Settings as command-line arguments; tables that LeRobot reads as a whole stay JSON."""
+    arguments: list[str] = []
+    for key, value in settings.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and key not in ("input_features", "normalization_mapping"):
+            arguments += flattened(value, f"{name}.")
+        else:
+            arguments.append(f"--{name}={value if isinstance(value, str) else json.dumps(value)}")
+    return arguments
+
+
+def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Arguments before and after ``--``."""
+    arguments = list(arguments)
+    at = arguments.index("--") if "--" in arguments else len(arguments)
+    return arguments[:at], arguments[at + 1 :]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,253 @@
+"""``regrasp-eval``: how often a policy, or the expert, succeeds in scenes that nobody has learnt from."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import gymnasium as gym
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from regrasp_datasets.quiet import quiet_environment
+from regrasp_datasets.rollout import RolloutError, make_env
+from regrasp_gym.benchmark.trials import Record, Trial, crashes, run_trials, wilson, write_report
+from regrasp_gym.errors import EnvError
+from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
+from regrasp_train.errors import MismatchError, RunError, TrainError
+from regrasp_train.progress import Progress, Reached
+from regrasp_train.scenes import held_out
+
+
+@dataclass(frozen=True)
+class EvalCommand:
+    """Run a policy in held-out scenes, and count.
+
+    An episode succeeds if the environment says so at some step, at which it ends; it fails at the time limit, or when
+    the expert gives up. Printed are the success rate with its 95 % interval (Wilson), overall and by object, and how
+    far the failed episodes came. Interrupted runs go on where they stopped.
+    """
+
+    policy: str
+    """"expert"; a LeRobot policy (the folder …/pretrained_model); or a model .zip of regrasp-train-rl."""
+    env: str | None = None
+    """Gymnasium id; by default the one it was trained in."""
+    episodes: int = 50
+    """How many scenes."""
+    split: Literal["train", "val", "test"] = "test"
+    """Which scenes; demonstrations are collected from those of "train"."""
+    seed: int = 0
+    """Number of the first scene within the split."""
+    control_mode: Literal["joint_pos", "ee_delta"] | None = None
+    """What actions mean; by default what it was trained with."""
+    workers: int = 1
+    """Processes that run episodes at the same time."""
+    device: str | None = None
+    """Of torch: cpu, cuda or mps."""
+    videos: Path | None = None
+    """Folder for films of the first episodes."""
+    filmed: int = 4
+    """How many episodes are filmed."""
+    records: Path = Path("outputs/eval.jsonl")
+    """One JSON line per episode, appended to."""
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    """Write the summary as JSON."""
+
+
+def main() -> int:
+    """Entry point of ``regrasp-eval``: 0 if done, 1 if episodes crashed, 2 for wrong use, 130 for Ctrl-C."""
+    command = tyro.cli(EvalCommand, prog="regrasp-eval", description=EvalCommand.__doc__)
+    quiet_environment()
+    # An episode is one policy step after another: threads only get in each other's way.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        return evaluate(command)
+    except (TrainError, RolloutError, EnvError) as error:
+        print(f"regrasp-eval: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("regrasp-eval: interrupted; the same command goes on", file=sys.stderr)
+        return 130
+
+
+def evaluate(command: EvalCommand) -> int:
+    """Do what ``command`` says; 0, or 1 if episodes crashed.
+
+    Raises:
+        RunError: the policy can not be found.
+        MismatchError: it does not fit the environment.
+        RolloutError: the environment cannot be made.
+        MissingExtraError: the packages for such a policy are not installed.
+    """
+    setting = setting_of(command)
+    first, _ = held_out(setting["env"], command.split)
+    # Made once here, so that what is wrong is said before any work, and not once per episode.
+    env, _ = _made(setting)
+    scenes = getattr(env.unwrapped, "scene_seeds", None)
+    env.close()
+    if scenes is not None and command.seed + command.episodes > len(scenes):
+        raise MismatchError(
+            f"{setting['env']} has {len(scenes)} scenes in its split {command.split!r}, and {command.episodes} from "
+            f"number {command.seed} on are asked for: give --episodes {max(len(scenes) - command.seed, 0)} or fewer"
+        )
+    seeds = range(first + command.seed, first + command.seed + command.episodes)
+    if command.videos is not None:
+        setting |= {"videos": str(command.videos), "filmed": list(seeds[: command.filmed])}
+    label = "evaluating"
+    records = run_trials(setting, seeds, _prepare, workers=command.workers, records=command.records, label=label)
+    summary = summarise(setting, records)
+    _show(summary)
+    packages = ("regrasp-gym", "mujoco", "gymnasium", "jax", "numpy")
+    packages += {"lerobot": ("lerobot", "torch"), "sb3": ("stable-baselines3", "torch")}.get(setting["kind"], ())
+    write_report(command.json_file, summary, packages)
+    return 1 if summary["crashed"] else 0
+
+
+def setting_of(command: EvalCommand) -> Record:
+    """What the episodes have in common."""
+    env_id, kwargs = trained_in(command.policy)
+    env_id = command.env or env_id or ("regrasp_gym/PandaYCB-v0" if kind_of(command.policy) == "expert" else None)
+    if env_id is None:
+        raise RunError(f"{command.policy} does not say what it was trained in: give --env")
+    if command.control_mode is not None:
+        kwargs["control_mode"] = command.control_mode
+    _, of_split = held_out(env_id, command.split)
+    return {
+        "policy": command.policy,
+        "kind": kind_of(command.policy),
+        "policy_sha256": digest(command.policy),
+        "env": env_id,
+        "env_kwargs": {**kwargs, **of_split, "obs_type": obs_type_of(command.policy), "terminate_on_success": True},
+        "split": command.split,
+        "device": command.device,
+    }
+
+
+def digest(policy: str) -> str:
+    """Digest of a policy's weights, so that records of a newer checkpoint at the same place are not mixed up."""
+    if kind_of(policy) == "expert":
+        return ""
+    path = Path(policy)
+    file = path if path.is_file() else path / "model.safetensors"
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.is_file() else ""
+
+
+def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None) -> Record:
+    """One episode, as a record.
+
+    Args:
+        env: made with ``terminate_on_success``.
+        agent: made for it.
+        seed: of the reset.
+        video: MP4 file to write; the environment needs ``render_mode="rgb_array"``.
+    """
+    from regrasp_datasets.features import base_env
+
+    inner = base_env(env)
+    observation, info = env.reset(seed=seed)
+    began = time.perf_counter()
+    agent.reset(seed)
+    progress, pictures = Progress(), [env.render()] if video else []
+    steps, truncated = 0, False
+    while not truncated and progress.reached is not Reached.PLACED:
+        action = agent.act(observation)
+        if action is None:
+            break
+        observation, _, _, truncated, info = env.step(action)
+        steps += 1
+        progress.watch(inner)
+        if video:
+            pictures.append(env.render())
+    if video:
+        _write_video(video, pictures, env.metadata["render_fps"])
+    success = progress.reached is Reached.PLACED
+    return {
+        "seed": seed,
+        "scene_seed": info["scene_seed"],
+        "target": inner.scene.target.name,
+        "success": success,
+        "reached": str(progress.reached),
+        "steps": steps,
+        "seconds": time.perf_counter() - began,
+        "cause": "" if success else agent.failure or ("time limit" if truncated else "gave up"),
+    }
+
+
+def summarise(setting: Record, records: Sequence[Record]) -> Record:
+    """Counts overall, by object and by the step reached, of episodes in the order of their seeds."""
+    ended = [record for record in records if "crashed" not in record]
+    targets = sorted({record["target"] for record in ended})
+    farthest = Counter(record["reached"] for record in ended)
+    return {
+        **setting,
+        "seeds": [records[0]["trial"], records[-1]["trial"]] if records else [],
+        **_rate(ended),
+        "by_object": {name: _rate([record for record in ended if record["target"] == name]) for name in targets},
+        "reached": {str(step): farthest.get(str(step), 0) for step in Reached},
+        "failures": dict(Counter(record["cause"] for record in ended if not record["success"]).most_common()),
+        "failed": [record["seed"] for record in ended if not record["success"]],
+        "steps_mean": sum(record["steps"] for record in ended) / max(len(ended), 1),
+        "seconds_mean": sum(record["seconds"] for record in ended) / max(len(ended), 1),
+        "crashed": crashes(records),
+    }
+
+
+def _rate(records: Sequence[Record]) -> Record:
+    successes = sum(record["success"] for record in records)
+    share = successes / len(records) if records else 0.0
+    interval = wilson(successes, len(records))
+    return {"episodes": len(records), "successes": successes, "success_rate": share, "success_rate_95": interval}
+
+
+def _made(setting: Record) -> tuple[gym.Env, Agent]:
+    kwargs = dict(setting["env_kwargs"])
+    if "image_size" in kwargs:
+        kwargs["image_size"] = tuple(kwargs["image_size"])
+    if setting.get("videos"):
+        kwargs["render_mode"] = "rgb_array"
+    env = make_env(setting["env"], kwargs)
+    return env, make_agent(setting["policy"], env, setting["device"])
+
+
+def _prepare(setting: Record) -> Trial:
+    env, agent = _made(setting)
+    filmed, folder = setting.get("filmed", ()), Path(setting.get("videos", ""))
+    return lambda seed: run_episode(env, agent, seed, folder / f"scene-{seed}.mp4" if seed in filmed else None)
+
+
+def _write_video(path: Path, pictures: Sequence[Any], fps: int) -> None:
+    import imageio.v2 as imageio
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with imageio.get_writer(path, fps=fps, codec="libx264", macro_block_size=1) as writer:
+        for picture in pictures:
+            writer.append_data(picture)  # type: ignore[attr-defined]
+
+
+def _show(summary: Record) -> None:
+    console = Console()
+    title = f"{summary['policy']} in {summary['env']}, {summary['split']} scenes"
+    table = Table("object", "episodes", "succeed", "% (95 %)", title=title)
+    for name, row in {**summary["by_object"], "all": summary}.items():
+        low, high = row["success_rate_95"]
+        share = f"{100 * row['success_rate']:.0f} ({100 * low:.0f}–{100 * high:.0f})"
+        table.add_row(name, str(row["episodes"]), str(row["successes"]), share)
+    console.print(table)
+    reached = ", ".join(f"{step} {count}" for step, count in summary["reached"].items() if count)
+    console.print(f"came as far as: {reached}", highlight=False)
+    for cause, count in summary["failures"].items():
+        console.print(f"failed: {count} × {cause}", highlight=False)
+    for error, seeds in summary["crashed"].items():
+        console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""What networks are fed of a goal environment's observation: all of it, in like units, and where things are relative
+to one another."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+_NEAR = 10.0
+"""Distances of 10 cm become 1."""
+
+# Entries of `observation` after the joints' (see `regrasp_gym.observation.state_layout`), and what they are times by.
+_REST = (
+    ("finger coordinate", 1, 25.0),
+    ("finger rate", 1, 5.0),
+    ("gripper pose", 7, 1.0),
+    ("target velocity", 6, 1.0),
+    ("target half extents", 3, 10.0),
+)
+
+
+class GoalFeatures(BaseFeaturesExtractor):
+    """Scaled observation, target relative to the gripper, goal relative to the target, and both goals.
+
+    No statistics are kept: the scales are those of the quantities, so that a checkpoint is whole by itself.
+
+    Args:
+        observation_space: of an environment of this project, with ``obs_type="state"``.
+        joints: of the arm.
+    """
+
+    def __init__(self, observation_space: spaces.Dict, joints: int = 7) -> None:
+        shapes = {key: space.shape for key, space in observation_space.spaces.items()}
+        size, goal = (int(np.prod(shapes[key] or (0,))) for key in ("observation", "achieved_goal"))
+        super().__init__(observation_space, size + 2 * goal + 6)
+        scale = [1.0] * joints + [0.3] * joints
+        for _, count, factor in _REST:
+            scale += [factor] * count
+        scale += [1.0] * (size - len(scale))
+        self.scale: torch.Tensor
+        self.register_buffer("scale", torch.tensor(scale))
+        self.gripper = 2 * joints + 2 + 4
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """(batch, features) of a batch of observations."""
+        seen, achieved, desired = (observations[key] for key in ("observation", "achieved_goal", "desired_goal"))
+        target = achieved[:, 4:7]
+        to_target = _NEAR * (target - seen[:, self.gripper : self.gripper + 3])
+        to_goal = _NEAR * (desired[:, 4:7] - target)
+        return torch.cat([self.scale * seen, achieved, desired, to_target, to_goal], dim=1)

@@ -1,0 +1,313 @@
+"""``regrasp-train-rl``: reinforcement learning with Stable-Baselines3."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import sys
+import warnings
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from regrasp_datasets.quiet import quiet_environment
+from regrasp_train.configs import read_config
+from regrasp_train.errors import RunError, TrainError, require_extra
+from regrasp_train.threads import threads
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv
+
+    from regrasp_train.checkpoints import Clock
+
+OUR_KEYS = ("n_envs", "n_timesteps", "env_kwargs", "demo_share")
+"""Hyper-parameters that are not Stable-Baselines3's."""
+
+
+@dataclass(frozen=True)
+class RlCommand:
+    """Train a policy by reinforcement learning with Stable-Baselines3: SAC with hindsight experience replay, or PPO.
+
+    Success on validation scenes is measured as it learns, and makes the learning curve. Checkpoints, replay buffer
+    included, let a run that was killed go on with --resume. The last model is RUN/model.zip, the best one on the
+    validation scenes RUN/best/best_model.zip; regrasp-eval takes either.
+    """
+
+    run: Path
+    """Folder of the run; it must not exist, unless --resume is given."""
+    env: str = "regrasp_gym/PandaYCBLift-v0"
+    """Gymnasium id of the environment."""
+    algo: Literal["sac", "ppo"] = "sac"
+    """The algorithm."""
+    config: str | None = None
+    """YAML file of hyper-parameters by environment; by default the shipped one of the algorithm."""
+    demos: Path | None = None
+    """Dataset of demonstrations, collected in this environment with the config's control mode (SAC only)."""
+    steps: int | None = None
+    """Environment steps, instead of the config's."""
+    minutes: float | None = None
+    """Stop after this time, those of a resumed run before included."""
+    envs: int | None = None
+    """Environments side by side, instead of the config's."""
+    save_every: int = 20_000
+    """Steps between checkpoints."""
+    eval_every: int = 10_000
+    """Steps between evaluations."""
+    eval_episodes: int = 20
+    """Episodes of each evaluation, on validation scenes."""
+    seed: int = 0
+    """Of weights, exploration and scenes."""
+    device: str = "auto"
+    """cpu, cuda or mps; what is there by default."""
+    resume: bool = False
+    """Go on from the last checkpoint of the run."""
+    progress: bool = True
+    """Whether to show a progress bar."""
+    json: Path | None = None
+    """File for the learning curve as JSON."""
+    plot: Path | None = None
+    """Picture of the learning curve."""
+    compare: tuple[Path, ...] = ()
+    """Folders of other runs whose curves go into the same picture and JSON."""
+
+
+def main() -> int:
+    """Entry point of ``regrasp-train-rl``: 0 if done, 2 for wrong use, 130 for Ctrl-C."""
+    command = tyro.cli(RlCommand, prog="regrasp-train-rl", description=RlCommand.__doc__)
+    quiet_environment()
+    from regrasp_datasets.records import DatasetError
+    from regrasp_datasets.rollout import RolloutError
+
+    try:
+        require_extra("regrasp-train-rl", "rl")
+        if command.demos is not None:
+            require_extra("regrasp-train-rl --demos", "lerobot")
+        train(command)
+    except (TrainError, DatasetError, RolloutError) as error:
+        print(f"regrasp-train-rl: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"regrasp-train-rl: interrupted; go on with --run {command.run} --resume", file=sys.stderr)
+        return 130
+    return 0
+
+
+def train(command: RlCommand) -> None:
+    """Do what ``command`` says.
+
+    Raises:
+        RunError: the folder of the run, or the config, cannot be used.
+        MismatchError: the demonstrations are of another environment.
+        RolloutError: the environment cannot be made.
+    """
+    import torch
+    from stable_baselines3.common.callbacks import CallbackList, EvalCallback
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from regrasp_train.checkpoints import CURVE_FILE, Checkpoints, Clock, CurvePoints, last_checkpoint
+    from regrasp_train.rl_envs import make_judging_env
+
+    torch.set_num_threads(threads())
+    settings = told_before(command) if command.resume else begin(command)
+    lock = locked(command.run, settings) if command.resume else None
+    clock = Clock()
+    envs = learning_envs(settings)
+    # A single environment is quickest to judge in, however many there are to learn in.
+    warnings.filterwarnings("ignore", "Training and eval env are not of the same type")
+    judging = DummyVecEnv([partial(make_judging_env, settings["env"], settings["env_kwargs"], command.eval_episodes)])
+    try:
+        if command.resume:
+            model, clock = restored(last_checkpoint(command.run), settings, envs, command)
+        else:
+            model = new_model(settings, envs, command)
+            lock = locked(command.run, settings)
+        checkpoints = Checkpoints(
+            command.run / "checkpoints",
+            command.save_every,
+            clock,
+            None if command.minutes is None else 60 * command.minutes,
+        )
+        evaluation = EvalCallback(
+            judging,
+            callback_after_eval=CurvePoints(command.run / CURVE_FILE, clock),
+            n_eval_episodes=command.eval_episodes,
+            eval_freq=max(command.eval_every // envs.num_envs, 1),
+            log_path=str(command.run / "evaluations"),
+            best_model_save_path=str(command.run / "best"),
+            verbose=0,
+        )
+        total = command.steps or settings["n_timesteps"]
+        told = f"{settings['algo'].upper()} in {settings['env']}, {total} steps; tensorboard --logdir {command.run}"
+        Console().print(told, highlight=False, soft_wrap=True)
+        if model.num_timesteps < total:
+            model.learn(
+                total - model.num_timesteps,
+                callback=CallbackList([evaluation, checkpoints]),
+                reset_num_timesteps=False,
+                tb_log_name="tensorboard",
+                progress_bar=command.progress,
+            )
+        model.save(command.run / "model.zip")
+    finally:
+        envs.close()
+        judging.close()
+        if lock is not None:
+            lock.close()
+    report(command, clock)
+
+
+def begin(command: RlCommand) -> dict[str, Any]:
+    """Settings of a new run, once it is sure that it can begin."""
+    from regrasp_datasets.rollout import make_env
+    from regrasp_train.demonstrations import check_demonstrations
+
+    if command.run.exists():
+        raise RunError(f"{command.run} exists already: add --resume to go on with it, or choose another --run")
+    if command.demos is not None and command.algo != "sac":
+        raise RunError(f"--demos needs a replay buffer, which --algo {command.algo} has not: use --algo sac")
+    by_env = read_config(command.config or command.algo)
+    config = by_env.get(command.env, by_env.get("default"))
+    if config is None:
+        raise RunError(f"the config has no hyper-parameters for {command.env}, and no default ones")
+    env_kwargs = config.get("env_kwargs", {})
+    make_env(command.env, {**env_kwargs, "obs_type": "state"}).close()
+    if command.demos is not None:
+        check_demonstrations(command.demos, command.env, env_kwargs.get("control_mode", "joint_pos"))
+    return {
+        "algo": command.algo,
+        "env": command.env,
+        "env_kwargs": env_kwargs,
+        "n_envs": command.envs or config.get("n_envs", 1),
+        "n_timesteps": int(float(config.get("n_timesteps", 1e6))),
+        "demos": None if command.demos is None else str(command.demos),
+        "demo_share": config.get("demo_share", 0.5),
+        "seed": command.seed,
+        "hyperparameters": {key: value for key, value in config.items() if key not in OUR_KEYS},
+    }
+
+
+def told_before(command: RlCommand) -> dict[str, Any]:
+    """Settings of a run that is to go on."""
+    from regrasp_train.checkpoints import last_checkpoint, read_run
+
+    last_checkpoint(command.run)
+    return read_run(command.run)
+
+
+def locked(run: Path, settings: dict[str, Any]) -> IO[str]:
+    """Make the folder of a run if need be, and hold it until the file returned is closed.
+
+    Raises:
+        RunError: another process holds it.
+    """
+    from regrasp_train.checkpoints import RUN_FILE
+
+    run.mkdir(parents=True, exist_ok=True)
+    lock = (run / "lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        raise RunError(f"another regrasp-train-rl is at work in {run}") from error
+    if not (run / RUN_FILE).exists():
+        (run / RUN_FILE).write_text(json.dumps(settings, indent=2) + "\n")
+    return lock
+
+
+def learning_envs(settings: dict[str, Any]) -> VecEnv:
+    """The environments that are learnt in, each in a process of its own if there are several."""
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
+
+    from regrasp_train.rl_envs import make_learning_env
+
+    makers = [partial(make_learning_env, settings["env"], settings["env_kwargs"]) for _ in range(settings["n_envs"])]
+    envs = DummyVecEnv(makers) if len(makers) == 1 else SubprocVecEnv(makers, start_method="spawn")
+    return VecMonitor(envs, info_keywords=("is_success",))
+
+
+def new_model(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> BaseAlgorithm:
+    """An untrained model, its replay buffer filled with demonstrations if there are any."""
+    from stable_baselines3 import PPO, SAC
+
+    from regrasp_train.demonstrations import DemonstrationReplayBuffer
+    from regrasp_train.goal_features import GoalFeatures
+
+    options = dict(settings["hyperparameters"])
+    options["policy_kwargs"] = {"features_extractor_class": GoalFeatures, **options.get("policy_kwargs", {})}
+    options |= {"seed": settings["seed"], "device": command.device, "tensorboard_log": str(command.run)}
+    if settings["algo"] == "ppo":
+        return PPO(env=envs, **options)
+    buffer = {**options.pop("replay_buffer_kwargs", {}), "demo_share": settings["demo_share"]}
+    model = SAC(env=envs, replay_buffer_class=DemonstrationReplayBuffer, replay_buffer_kwargs=buffer, **options)
+    if settings["demos"] is not None:
+        fill(model, settings, envs)
+    return model
+
+
+def fill(model: Any, settings: dict[str, Any], envs: VecEnv) -> None:
+    """Fill a model's replay buffer with demonstrations."""
+    from regrasp_train.demonstrations import demonstration_buffer, read_demonstrations
+    from regrasp_train.rl_envs import make_learning_env
+
+    env = make_learning_env(settings["env"], settings["env_kwargs"])
+    try:
+        episodes = read_demonstrations(Path(settings["demos"]), env)
+    finally:
+        env.close()
+    model.replay_buffer.demos = demonstration_buffer(episodes, model.replay_buffer, envs)
+    frames = sum(map(len, episodes))
+    Console().print(f"{len(episodes)} demonstrations succeed again: {frames} transitions in the replay buffer")
+
+
+def restored(
+    checkpoint: Path, settings: dict[str, Any], envs: VecEnv, command: RlCommand
+) -> tuple[BaseAlgorithm, Clock]:
+    """The model of a checkpoint with its replay buffer, and the clock as it stood."""
+    from stable_baselines3 import PPO, SAC
+
+    from regrasp_train.checkpoints import BUFFER, CURVE_FILE, MODEL, PROGRESS, Clock
+    from regrasp_train.learning_curve import read_points, rewrite_points
+
+    made = {"sac": SAC, "ppo": PPO}[settings["algo"]]
+    model = made.load(checkpoint / MODEL, env=envs, device=command.device, tensorboard_log=str(command.run))
+    if isinstance(model, SAC):
+        # Its last episode was not finished: that is what happens to a run that stops.
+        warnings.filterwarnings("ignore", "(?s).*last trajectory in the replay buffer")
+        model.load_replay_buffer(checkpoint / BUFFER)
+    progress = json.loads((checkpoint / PROGRESS).read_text())
+    curve = command.run / CURVE_FILE
+    rewrite_points(curve, read_points(curve, progress["steps"]))
+    Console().print(f"Going on from step {progress['steps']}", highlight=False)
+    return model, Clock(progress["seconds"])
+
+
+def report(command: RlCommand, clock: Clock) -> None:
+    """Say how well it went, and write the learning curve where it was asked for."""
+    from regrasp_gym.benchmark.trials import write_report
+    from regrasp_train.checkpoints import CURVE_FILE, read_run
+    from regrasp_train.learning_curve import curve_report, plot_curves, read_points
+
+    curves = {run.name: read_points(run / CURVE_FILE) for run in (command.run, *command.compare)}
+    curves = {name: points for name, points in curves.items() if points}
+    for name, points in curves.items():
+        last = points[-1]
+        told = f"{name}: {last.successes} of {last.episodes} succeed after {last.steps} steps"
+        Console().print(told, highlight=False)
+    summary: dict[str, Any] = {
+        "settings": read_run(command.run),
+        "seconds": clock.seconds,
+        "curves": {name: curve_report(points) for name, points in curves.items()},
+    }
+    packages = ("regrasp-gym", "mujoco", "gymnasium", "stable-baselines3", "torch", "numpy")
+    write_report(command.json, summary, packages)
+    if command.plot is not None and curves:
+        plot_curves(curves, command.plot, read_run(command.run)["env"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""Environments as Stable-Baselines3 learns in them and evaluates in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.monitor import Monitor
+
+from regrasp_datasets.rollout import make_env
+from regrasp_train.scenes import held_out
+
+
+class Float32(gym.ObservationWrapper):
+    """Observations in single precision: networks take nothing else, and a replay buffer holds twice as many."""
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        space = env.observation_space
+        assert isinstance(space, gym.spaces.Dict)
+        self.observation_space = gym.spaces.Dict(
+            {key: gym.spaces.Box(-np.inf, np.inf, part.shape, np.float32) for key, part in space.spaces.items()}
+        )
+
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The same numbers, rounded."""
+        return {key: np.asarray(value, np.float32) for key, value in observation.items()}
+
+    @property
+    def compute_reward(self) -> Callable[..., np.ndarray]:
+        """The environment's own."""
+        return self.env.get_wrapper_attr("compute_reward")
+
+
+class Seeds(gym.Wrapper):
+    """Takes the given seeds in turn, over and over, where a reset brings none."""
+
+    def __init__(self, env: gym.Env, seeds: Sequence[int]) -> None:
+        super().__init__(env)
+        self._seeds, self._next = seeds, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode with the next seed."""
+        del seed
+        seed = self._seeds[self._next % len(self._seeds)]
+        self._next += 1
+        return self.env.reset(seed=seed, options=options)
+
+
+def make_learning_env(env_id: str, env_kwargs: dict[str, Any]) -> gym.Env:
+    """An environment to learn in: vectors only, and it goes on after success."""
+    return Float32(make_env(env_id, {**env_kwargs, "obs_type": "state"}))
+
+
+def make_judging_env(env_id: str, env_kwargs: dict[str, Any], episodes: int) -> gym.Env:
+    """An environment to be judged in: the first validation seeds in turn, each episode over on success."""
+    first, kwargs = held_out(env_id, "val")
+    kwargs = {**env_kwargs, **kwargs, "terminate_on_success": True}
+    return Monitor(Seeds(make_learning_env(env_id, kwargs), range(first, first + episodes)))
