@@ -48,15 +48,15 @@ class PlanOptions:
     """
 
     grasp: GraspGenOptions = field(default_factory=GraspGenOptions)
-    regrasp: GraspGenOptions = field(default_factory=lambda: GraspGenOptions(screened=32, budget=240))
+    regrasp: GraspGenOptions = field(default_factory=lambda: GraspGenOptions(screened=32, budget=600))
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
-    max_stable_poses: int = 8
+    max_stable_poses: int = 14
     max_stages: int = 4
     yaws: int = 8
     motion_attempts: int = 4
     grasps_kept: int = 4
-    chains: int = 4
+    chains: int = 8
 
 
 @dataclass(frozen=True)

@@ -121,11 +121,11 @@ class SlopesConfig:
     slope_radius: float = 1.8
     target_spread: float = 0.5
     goal_spread: float = 0.5
-    pick_gap: tuple[float, float] = (0.3, 0.9)
-    goal_gap: tuple[float, float] = (0.3, 0.9)
+    pick_gap: tuple[float, float] = (0.4, 1.1)
+    goal_gap: tuple[float, float] = (0.4, 1.1)
     landing_weight: float = 1.0
     goal_landing_weight: float = 1.0
-    same_side: float = 0.21
+    same_side: float = 0.05
     goal_yaw: tuple[float, float] = (0.0, np.pi)
     on_top: float = 0.32
     top_inclination: float = 0.26
