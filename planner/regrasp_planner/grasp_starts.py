@@ -107,6 +107,12 @@ def finger_coordinate(gripper: Gripper, width: Float[np.ndarray, "*K"] | float) 
     return np.asarray(np.interp(width, reduced.gaps, reduced.thetas))
 
 
+def pad_gap(gripper: Gripper, theta: float) -> float:
+    """How far the pads are apart at θ, metres."""
+    reduced = reduce_gripper(gripper)
+    return float(np.interp(theta, reduced.thetas, reduced.gaps))
+
+
 def closing_axes(
     hull: Float[np.ndarray, "N 3"], max_width: float, max_axes: int
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:

@@ -77,7 +77,7 @@ def run(command: PlanCommand) -> int:
         if plan.failure is not None:
             console.print(f"No plan: {plan.failure}", markup=False, highlight=False)
         else:
-            console.print(_table(plan))
+            console.print(_table(plan, expert.env.planner_robot.gripper))
         seconds = ", ".join(f"{name} {1e3 * value:.0f} ms" for name, value in plan.stats.seconds.items())
         console.print(f"{seconds}; {plan.stats.eval_grasp_calls} evaluated grasps", highlight=False)
         done = plan.success
@@ -126,8 +126,9 @@ def _duration(stage: Any) -> float:
     return sum(segment.trajectory.duration for segment in stage.segments if segment.trajectory is not None)
 
 
-def _table(plan: Any) -> Table:
+def _table(plan: Any, gripper: Any) -> Table:
     from regrasp_gym.plan_picture import release_tilt
+    from regrasp_planner.grasp_starts import pad_gap
 
     # Narrow enough for a terminal of 80 columns.
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -140,7 +141,7 @@ def _table(plan: Any) -> Table:
             str(stage.kind),
             _position(stage.release_pose),
             f"{degrees(release_tilt(stage)):.0f}",
-            f"{2e3 * stage.grasp.theta:.1f}",
+            f"{1e3 * pad_gap(gripper, stage.grasp.theta):.1f}",
             f"{stage.grasp.quality:.3f}",
             f"{1e3 * stage.grasp.clearance:.1f}",
             f"{_duration(stage):.1f}",
