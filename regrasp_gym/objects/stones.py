@@ -7,7 +7,7 @@ construction using on-site materials", Science Robotics 2023, doi 10.1126/scirob
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,7 +67,24 @@ class StoneConfig:
 
 
 def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", tone: str | None = None) -> ObjectModel:
-    """The stone of a seed.
+    """The stone of a seed: `bare_stone`, `dressed`. The arguments are those of `bare_stone`."""
+    return dressed(bare_stone(seed, config, name, tone), seed)
+
+
+def dressed(bare: ObjectModel, seed: int) -> ObjectModel:
+    """The bare stone of a seed with the look of that seed."""
+    facets = find_facets(bare.pieces[0])
+    assert facets is not None
+    look_rng = _look_rng(seed)
+    look_rng.choice(list(TONES))
+    look = rough_stone(look_rng, facets.triangles, facets.normals[facets.facet], bare.label.removesuffix(" stone"))
+    return replace(bare, looks=(look,), rgba=look.rgba)
+
+
+def bare_stone(
+    seed: int, config: StoneConfig | None = None, name: str = "stone", tone: str | None = None
+) -> ObjectModel:
+    """Shape and mass of the stone of a seed, without its look, which takes as long as all the rest.
 
     Args:
         seed: a non-negative integer. The shape depends on it and on ``config`` alone.
@@ -85,9 +102,7 @@ def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", ton
     if seed < 0:
         raise SceneError(f"stone seed is {seed}; give a non-negative integer")
     rng = np.random.default_rng([seed, 0x570E])
-    (look_rng,) = rng.spawn(1)
-    drawn = str(look_rng.choice(list(TONES)))
-    tone = tone or drawn
+    tone = tone or str(_look_rng(seed).choice(list(TONES)))
     if tone not in TONES:
         raise SceneError(f"unknown tone {tone!r}; the tones are {', '.join(TONES)}")
     for _ in range(_TRIES):
@@ -103,8 +118,11 @@ def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", ton
             f"no stone of seed {seed} with mass {config.mass} kg has its least width in {config.least_width} m and a "
             f"largest extent of at most {config.largest_extent} m; widen these"
         )
-    look = rough_stone(look_rng, facets.triangles, facets.normals[facets.facet], tone)
-    return solid(name, f"{tone} stone", mass, [corners], looks=[look], rgba=look.rgba, friction=FRICTION, contact=HARD)
+    return solid(name, f"{tone} stone", mass, [corners], friction=FRICTION, contact=HARD)
+
+
+def _look_rng(seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed, 0x570E]).spawn(1)[0]
 
 
 def _within(corners: np.ndarray, normals: np.ndarray, config: StoneConfig) -> bool:
@@ -244,7 +262,7 @@ def find_facets(points: Float[np.ndarray, "N 3"]) -> Facets | None:
     if len(hull.vertices) != len(points):
         return None
     # Qhull splits facets into triangles, which have the same plane but for rounding.
-    same = np.abs(hull.equations[:, None] - hull.equations).max(axis=2) < 1e-7
+    same = np.logical_and.reduce([np.abs(np.subtract.outer(each, each)) < 1e-7 for each in hull.equations.T])
     first, part = np.unique(same.argmax(axis=1), return_inverse=True)
     normals = hull.equations[first, :3]
     # The neighbour k of a triangle is across the edge opposite to its corner k.

@@ -234,10 +234,10 @@ def slide_apart(
         (T,) least distances ≥ 0, metres.
     """
     normals, offsets = half_planes(fixed)
-    apart = [np.einsum("tki,li->tlk", moving, normals).min(axis=-1) - offsets]
+    apart = [(moving @ normals.T).min(axis=1) - offsets]
     speed = [ways @ normals.T]
     normals, offsets = half_planes(moving)
-    apart.append(np.einsum("tki,li->tkl", normals, fixed).min(axis=-1) - offsets)
+    apart.append((normals @ fixed.T).min(axis=-1) - offsets)
     speed.append(-np.einsum("tki,ti->tk", normals, ways))
     apart, speed = np.concatenate(apart, axis=1), np.concatenate(speed, axis=1)
     parting = speed > 1e-9

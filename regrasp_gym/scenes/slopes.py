@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.stone_looks import TONES
-from regrasp_gym.objects.stones import FRICTION, StoneConfig, stone
+from regrasp_gym.objects.stones import FRICTION, StoneConfig, bare_stone, dressed, stone
 from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
 from regrasp_gym.scenes.slope_resting import (
     Lying,
@@ -296,7 +296,8 @@ class _Slope:
         """Push stones of these names towards the middle of what is there, from random sides, as long as they fit."""
         for name in names:
             for _ in range(_STONES):
-                model = stone(_seed(rng), self.config.stones, name, str(rng.choice(tones)))
+                seed = _seed(rng)
+                model = bare_stone(seed, self.config.stones, name, str(rng.choice(tones)))
                 choice = seats(model)
                 if not choice:
                     continue
@@ -309,7 +310,7 @@ class _Slope:
                 placed = self._first(model, seat, yaws, self.middle + slid[:, None] * ways)
                 if placed is not None:
                     self.taken.append(placed.footprint)
-                    self.stones.append(placed.object)
+                    self.stones.append(PlacedObject(dressed(model, seed), placed.pose))
                     break
 
     def _first(self, model: ObjectModel, seat: Seat, yaws: np.ndarray, positions: np.ndarray) -> Lying | None:
