@@ -292,7 +292,7 @@ def test_scenes_are_made_fast() -> None:
         start = time.process_time()
         make_scene(seed)
         took.append(time.process_time() - start)
-    # About 50 ms with another process beside it: of the stones drawn, two in three find no room at the gap drawn for them.
+    # About 50 ms with another process beside it: two in three stones drawn find no room at the gap drawn for them.
     assert np.median(took) < 0.06
 
 
