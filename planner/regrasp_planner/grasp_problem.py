@@ -94,19 +94,23 @@ def union_obstacles(scenes: Sequence[Scene], reach: float) -> tuple[list[ConvexB
     pieces: list[ConvexBody] = []
     poses: list[np.ndarray] = []
     for scene in scenes:
-        turn = Rotation.from_quat(scene.target_pose[:4], scalar_first=True)
-        for obstacle in scene.obstacles:
-            rotation = turn.inv() * Rotation.from_quat(obstacle.pose[:4], scalar_first=True)
-            position = turn.inv().apply(obstacle.pose[4:] - scene.target_pose[4:])
+        if not scene.obstacles:
+            continue
+        there = np.array([obstacle.pose for obstacle in scene.obstacles])
+        turn = Rotation.from_quat(scene.target_pose[:4], scalar_first=True).inv()
+        rotations = turn * Rotation.from_quat(there[:, :4], scalar_first=True)
+        positions = turn.apply(there[:, 4:] - scene.target_pose[4:])
+        placed = np.concatenate([rotations.as_quat(scalar_first=True), positions], axis=1)
+        # The target's origin in the frame of each obstacle, and a box around each piece along that frame's axes: cheap
+        # and tight enough for boards and tables.
+        origins = -rotations.inv().apply(positions)
+        for obstacle, pose, origin in zip(scene.obstacles, placed, origins, strict=True):
             for piece in obstacle.body.pieces:
-                vertices = rotation.apply(piece.hull_vertices()) + position
-                # A box around the piece, along the axes of the obstacle: cheap and tight enough for boards and tables.
-                own = rotation.inv().apply(vertices)
-                near = np.clip(np.zeros(3), own.min(0), own.max(0))
-                if np.linalg.norm(near) - float(piece.radius) > reach:
-                    continue
-                pieces.append(piece)
-                poses.append(np.concatenate([rotation.as_quat(scalar_first=True), position]))
+                vertices = piece.hull_vertices()
+                near = np.clip(origin, vertices.min(axis=0), vertices.max(axis=0))
+                if np.linalg.norm(near - origin) - float(piece.radius) <= reach:
+                    pieces.append(piece)
+                    poses.append(pose)
     return pieces, np.array(poses).reshape(-1, 7)
 
 

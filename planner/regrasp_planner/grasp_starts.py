@@ -20,6 +20,9 @@ from regrasp_planner.geometry.hull import facets, qhull
 from regrasp_planner.geometry.support import ConvexBody, support_value
 from regrasp_planner.robot import Gripper
 
+CLIPPED = 2**15
+"""Crossings of lines and planes worked out at once."""
+
 
 def _hull_of(bodies: ConvexBody, indices: np.ndarray) -> ConvexBody:
     radius = float(np.min([bodies[int(i)].radius for i in indices]))
@@ -139,12 +142,14 @@ def closing_axes(
     order = taken[np.lexsort((*faces.normals[taken].T, np.round(faces.heights[taken], 6)))]
     axes, widths = faces.normals[order], faces.heights[order]
     chosen: list[int] = []
+    along = np.abs(axes @ axes.T)
     # Finest grouping first; a coarser one only where there are more axes than wanted.
     for degrees in (3.0, 8.0, 15.0, 25.0, 40.0):
-        chosen = []
-        for i in range(len(axes)):
-            if all(abs(axes[i] @ axes[j]) < np.cos(np.radians(degrees)) for j in chosen):
-                chosen.append(i)
+        chosen, left = [], np.ones(len(axes), bool)
+        while left.any():
+            chosen.append(int(left.argmax()))
+            left &= along[chosen[-1]] < np.cos(np.radians(degrees))
+            left[chosen[-1]] = False
         if len(chosen) <= max_axes:
             break
     chosen = chosen[:max_axes]
@@ -152,26 +157,30 @@ def closing_axes(
 
 
 def clip_lines(
-    points: Float[np.ndarray, "*batch P 3"], direction: Float[np.ndarray, "*batch 3"], planes: Float[np.ndarray, "F 4"]
-) -> tuple[Float[np.ndarray, "*batch P"], Float[np.ndarray, "*batch P"]]:
+    points: Float[np.ndarray, "K P 3"], direction: Float[np.ndarray, "K 3"], planes: Float[np.ndarray, "F 4"]
+) -> tuple[Float[np.ndarray, "K P"], Float[np.ndarray, "K P"]]:
     """Where lines enter and leave the convex body n·x ≤ b.
 
     Args:
-        points: P points of each batch, metres.
-        direction: one unit direction per batch.
+        points: P points of each of K bundles of parallel lines, metres.
+        direction: one unit direction per bundle.
         planes: (n, b) of the body's facets.
 
     Returns:
         Distances from the points along the direction at which the lines enter and leave, metres; +∞ and −∞ where they
         miss the body.
     """
-    speed = (direction @ planes[:, :3].T)[..., None, :]
-    gap = planes[:, 3] - points @ planes[:, :3].T
-    # A line along a plane, outside of it, leaves the body long before it could enter.
-    speed = np.where(np.abs(speed) < 1e-9, 1e-12, speed)
-    crossing = gap / speed
-    enter = np.where(speed < 0, crossing, -np.inf).max(axis=-1)
-    leave = np.where(speed > 0, crossing, np.inf).min(axis=-1)
+    enter, leave = np.empty(points.shape[:2]), np.empty(points.shape[:2])
+    # A block of lines at a time, whose distances from all planes fit into the cache.
+    step = max(1, CLIPPED // (points.shape[1] * len(planes)))
+    for begin in range(0, len(points), step):
+        block = slice(begin, begin + step)
+        speed = (direction[block] @ planes[:, :3].T)[:, None]
+        # A line along a plane, outside of it, leaves the body long before it could enter.
+        speed = np.where(np.abs(speed) < 1e-9, 1e-12, speed)
+        crossing = (planes[:, 3] - points[block] @ planes[:, :3].T) / speed
+        enter[block] = np.where(speed < 0, crossing, -np.inf).max(axis=-1)
+        leave[block] = np.where(speed > 0, crossing, np.inf).min(axis=-1)
     hit = enter < leave
     return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
 
