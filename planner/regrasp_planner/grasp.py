@@ -53,6 +53,10 @@ class GraspGenOptions:
         quality_threshold: f_threshold of eq. (1).
         starts: where to start.
         max_axes: closing axes taken from the width function.
+        lean: largest angle between these axes and the line between the contacts, radians; 0 for the minima alone.
+        angles: approach angles about each axis; twice as many where there are few axes.
+        deep: overlap of bounding boxes, in gripper openings, from which on a start is not evaluated, though it may be
+            refined.
         screened: starts evaluated in one search before any are refined; more where the first grasps are refused.
         budget: evaluations of one `GraspSearch` after which no more are begun.
         refined: starts refined at most in one search; a multiple of `BATCH`.
@@ -66,6 +70,9 @@ class GraspGenOptions:
     quality_threshold: float = 1.85
     starts: StartKind = StartKind.CRITICAL
     max_axes: int = 12
+    lean: float = 0.0
+    angles: int = 12
+    deep: float = 0.25
     screened: int = 16
     budget: int = 120
     refined: int = 4

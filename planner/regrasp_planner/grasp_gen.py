@@ -47,8 +47,6 @@ OUTER_ROUNDS = 2
 """Rounds of Algorithm 3: grasps are refined, then the ground is tilted anew."""
 REACH_CHUNK = 32
 """Starts whose reachability is asked for at once."""
-DEEP = 0.25
-"""Overlap of bounding boxes, in gripper openings, from which on a start is not evaluated, but may be refined."""
 LOOKED_AT = 8
 """Times that is done in search of starts that the arm takes freely, before others are evaluated."""
 PATIENCE = 3
@@ -203,13 +201,13 @@ class GraspSearch:
         options, parts = self.options, graspable_parts(self.target)
         widest = self._length * (1 - 0.25 * options.margin)
         shares = [options.max_axes] if len(parts) == 1 else [max(2, options.max_axes // len(parts))] * len(parts)
-        axes = [closing_axes(part, widest, share)[0] for part, share in zip(parts, shares, strict=True)]
+        axes = [closing_axes(part, widest, share, options.lean)[0] for part, share in zip(parts, shares, strict=True)]
         number = sum(map(len, axes))
         if number == 0:
             return Starts.none()
         if options.starts is StartKind.UNIFORM:
             return uniform_starts(self._hull, self.gripper, options.refined, self.seed)
-        angles = 24 if number <= 4 else 12
+        angles = 2 * options.angles if number <= 4 else options.angles
         pieces = [piece.hull_vertices() for piece in self.target.pieces]
         every = [
             grasp_starts(pieces, k, parts[k], axes[k], self.gripper, angles, 1.2 * self._margin)
@@ -231,7 +229,7 @@ class GraspSearch:
         self.ordered += len(starts.poses)
         wanted = self.options.depth * reduce_gripper(self.gripper).tip_length
         lever = np.linalg.norm(starts.poses[:, 4:] - self.target.center_of_mass, axis=1)
-        self._hopeless = gap < -DEEP * self._length
+        self._hopeless = gap < -self.options.deep * self._length
         cost = overlap + np.maximum(0.0, wanted - starts.depths) - 0.1 * np.clip(gap, 0.0, 6 * self._margin)
         return np.argsort(cost + 0.03 * lever, kind="stable")
 

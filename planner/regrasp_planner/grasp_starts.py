@@ -117,7 +117,7 @@ def pad_gap(gripper: Gripper, theta: float) -> float:
 
 
 def closing_axes(
-    hull: Float[np.ndarray, "N 3"], max_width: float, max_axes: int
+    hull: Float[np.ndarray, "N 3"], max_width: float, max_axes: int, lean: float = 0.0
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
     """Axes along which a convex body can be taken between two parallel pads: the local minima of its width function.
 
@@ -126,20 +126,25 @@ def closing_axes(
     for stable poses, its minima are the facets of that body which the foot of its centre lies inside of. They are
     exact, and there is nothing to iterate. Where minima crowd (round a can, all over a ball) some are picked apart.
 
+    Friction holds where the line between the contacts leans against their normals, too. Facets whose foot lies so far
+    outside that it leans by up to ``lean`` come after the minima, those that lean least first.
+
     Args:
         hull: (N, 3) the body's vertices.
         max_width: widest graspable width, metres.
         max_axes: most axes to give.
+        lean: largest angle between an axis and the line between the contacts, radians.
 
     Returns:
-        (m, 3) unit axes, narrowest first, and (m,) widths, metres. Empty if the body is too wide everywhere.
+        (m, 3) unit axes, the minima narrowest first, and (m,) widths, metres. Empty if the body is too wide everywhere.
     """
     corners = hull[qhull(hull).vertices]
     differences = (corners[:, None] - corners[None]).reshape(-1, 3)
     faces = facets(qhull(differences), np.zeros(3))
-    taken = np.flatnonzero((faces.margins > 0) & (faces.heights <= max_width))
+    leaning = np.maximum(np.arctan2(-faces.margins, faces.heights), 0.0)
+    taken = np.flatnonzero(((faces.margins > 0) | (leaning < lean)) & (faces.heights <= max_width))
     # Of each axis one of the two directions, and by width to the micrometre, so that rounding decides nothing.
-    order = taken[np.lexsort((*faces.normals[taken].T, np.round(faces.heights[taken], 6)))]
+    order = taken[np.lexsort((*faces.normals[taken].T, np.round(faces.heights[taken], 6), leaning[taken].round(3)))]
     axes, widths = faces.normals[order], faces.heights[order]
     chosen: list[int] = []
     along = np.abs(axes @ axes.T)

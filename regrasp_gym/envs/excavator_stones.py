@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from regrasp_gym.rendering import SITE, Camera
 from regrasp_gym.reward import Tolerance
 from regrasp_gym.robots import excavator
 from regrasp_gym.scenes.slopes import MAX_OTHERS, SlopesConfig, make_scene
+
+if TYPE_CHECKING:
+    from regrasp_planner import PlanOptions
 
 EXCAVATOR = RobotSetup(
     build_spec=excavator.build_spec,
@@ -187,3 +191,18 @@ class ExcavatorStonesEnv(RegraspEnv):
 
     def __init__(self, scene_config: SlopesConfig | None = None, **arguments: Any) -> None:
         super().__init__(EXCAVATOR_STONES, scene_config=scene_config or SlopesConfig(), **arguments)
+
+    def plan_options(self) -> PlanOptions:
+        """More effort than for the Panda: round pads hold stones by many more grasps, of which few suit both slopes.
+
+        Starts are taken along axes that lean against the contact normals, too, as far as friction allows.
+        """
+        from regrasp_planner import GraspGenOptions, PlanOptions
+
+        starts = GraspGenOptions(lean=0.25, max_axes=24, angles=24)
+        return PlanOptions(
+            grasp=replace(starts, deep=0.5, screened=48, refined=8),
+            regrasp=replace(starts, screened=64, refined=8, budget=1200),
+            motion_attempts=8,
+            grasps_kept=6,
+        )

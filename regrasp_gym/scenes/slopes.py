@@ -125,7 +125,7 @@ class SlopesConfig:
     goal_gap: tuple[float, float] = (0.4, 1.1)
     landing_weight: float = 1.0
     goal_landing_weight: float = 1.0
-    same_side: float = 0.05
+    same_side: float = 0.12
     goal_yaw: tuple[float, float] = (0.0, np.pi)
     on_top: float = 0.32
     top_inclination: float = 0.26
