@@ -126,14 +126,15 @@ def closing_axes(
     for stable poses, its minima are the facets of that body which the foot of its centre lies inside of. They are
     exact, and there is nothing to iterate. Where minima crowd (round a can, all over a ball) some are picked apart.
 
-    Friction holds where the line between the contacts leans against their normals, too. Facets whose foot lies so far
-    outside that it leans by up to ``lean`` come after the minima, those that lean least first.
+    Friction holds where the line between the contacts leans against their normals, too. Facets outside of which the
+    foot lies come after the minima, as long as the line to the edge that it lies farthest beyond leans by less than
+    ``lean``.
 
     Args:
         hull: (N, 3) the body's vertices.
         max_width: widest graspable width, metres.
         max_axes: most axes to give.
-        lean: largest angle between an axis and the line between the contacts, radians.
+        lean: largest angle between an axis and that line, radians; 0 for the minima alone.
 
     Returns:
         (m, 3) unit axes, the minima narrowest first, and (m,) widths, metres. Empty if the body is too wide everywhere.

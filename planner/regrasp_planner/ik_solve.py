@@ -28,6 +28,7 @@ from regrasp_planner.collision import (
     pair_bounds,
     pair_clearances,
 )
+from regrasp_planner.geometry.hull import bucket_size
 from regrasp_planner.optim import ConstrainedResult, Euclidean, augmented_lagrangian
 from regrasp_planner.robot import Arm, forward_kinematics
 
@@ -35,7 +36,7 @@ POSITION_TOLERANCE = 1e-4
 ROTATION_TOLERANCE = 1e-3
 SLOTS, STARTS = 8, 32
 """Starts run in lanes of 8 slots × 32, whatever the number of targets, which share the slots evenly."""
-QUICK_TARGETS, QUICK_STARTS, QUICK_ENOUGH, QUICK_TOLERANCE = 32, 12, 4, 5e-3
+QUICK_TARGETS, QUICK_STARTS, QUICK_ENOUGH, QUICK_TOLERANCE = (8, 32), 12, 4, 5e-3
 """Of `within_reach`: targets in a batch, starts for each, solutions looked at, and the miss (metres) that passes."""
 ENOUGH = 10
 FIRST_ITERATIONS = 24
@@ -209,16 +210,17 @@ def within_reach(
     robot, count = model.arrays.robot, len(targets)
     arm, home = robot.arm, np.asarray(robot.home, float)
     low, high = np.asarray(arm.lower, float), np.asarray(arm.upper, float)
-    starts = np.random.default_rng(seed).uniform(low, high, (QUICK_TARGETS, QUICK_STARTS, arm.dof))
+    starts = np.random.default_rng(seed).uniform(low, high, (QUICK_TARGETS[-1], QUICK_STARTS, arm.dof))
     starts[:, 0] = home
     grades = np.full(count, int(Reachability.NONE))
-    for begin in range(0, count, QUICK_TARGETS):
-        chosen = np.arange(begin, min(begin + QUICK_TARGETS, count))
-        some = jnp.asarray(targets[np.resize(chosen, QUICK_TARGETS)])
-        ends = reach(arm, some, jnp.asarray(starts), jnp.asarray(QUICK_ENOUGH), jnp.asarray(FIRST_ITERATIONS))
+    for begin in range(0, count, QUICK_TARGETS[-1]):
+        chosen = np.arange(begin, min(begin + QUICK_TARGETS[-1], count))
+        size = bucket_size(len(chosen), QUICK_TARGETS)
+        some, tried = jnp.asarray(targets[np.resize(chosen, size)]), jnp.asarray(starts[:size])
+        ends = reach(arm, some, tried, jnp.asarray(QUICK_ENOUGH), jnp.asarray(FIRST_ITERATIONS))
         lanes = _Lanes(*map(np.asarray, ends))
-        solved = (lanes.miss() < QUICK_TOLERANCE).reshape(QUICK_TARGETS, QUICK_STARTS)[: len(chosen)]
-        q = lanes.q.reshape(QUICK_TARGETS, QUICK_STARTS, -1)[: len(chosen)]
+        solved = (lanes.miss() < QUICK_TOLERANCE).reshape(size, QUICK_STARTS)[: len(chosen)]
+        q = lanes.q.reshape(size, QUICK_STARTS, -1)[: len(chosen)]
         grades[chosen[solved.any(axis=1)]] = Reachability.BLOCKED if collisions else Reachability.FREE
         if not collisions:
             continue

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from regrasp_planner.grasp import Grasp, GraspGenOptions
 from regrasp_planner.grasp_gen import Found, GraspSearch
-from regrasp_planner.ik_solve import within_reach
+from regrasp_planner.ik_solve import Reachability, within_reach
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot import Robot
 from regrasp_planner.sampling import SamplingOptions
@@ -91,6 +91,7 @@ class StageSearch:
         self.motion = StageMotion(self.surroundings, self.clock, seed)
         self.searches: list[GraspSearch] = []
         self.sampled = 0
+        self._looked: dict[tuple[bytes, bool], dict[bytes, int]] = {}
         self.goal = np.array(task.place.target_pose, float)
         self.goal[6] += options.motion.drop
 
@@ -98,7 +99,11 @@ class StageSearch:
         """A search for grasps that are feasible in all the scenes and that the arm reaches there, obstacles aside."""
 
         def reachable(grippers: Float[np.ndarray, "K 7"]) -> Int[np.ndarray, " K"]:
-            return np.minimum.reduce([self.looked(scene.target_pose, grippers) for scene in scenes])
+            grades = np.full(len(grippers), len(Reachability))
+            for scene in scenes:
+                left = np.flatnonzero(grades)
+                grades[left] = np.minimum(grades[left], self.looked(scene.target_pose, grippers[left]))
+            return grades
 
         made = GraspSearch(
             self.task.target, scenes, self.robot.gripper, options, reachable if scenes else None, self.seed
@@ -109,9 +114,18 @@ class StageSearch:
     def looked(
         self, target_pose: Pose, grippers: Float[np.ndarray, "K 7"], collisions: bool = True
     ) -> Int[np.ndarray, " K"]:
-        """How well the arm alone takes grasps, (K, 7) in the target's frame, of the target standing at a pose."""
-        placed = wxyz_xyz(rigid(target_pose) * rigid(grippers))
-        return within_reach(self.surroundings.arm_alone, placed, self.seed, collisions)
+        """How well the arm alone takes grasps, (K, 7) in the target's frame, of the target standing at a pose.
+
+        Searches share their starts, so that each is looked at once.
+        """
+        known = self._looked.setdefault((np.asarray(target_pose, float).tobytes(), collisions), {})
+        keys = [gripper.tobytes() for gripper in grippers]
+        new = [i for i, key in enumerate(keys) if key not in known]
+        if new:
+            placed = wxyz_xyz(rigid(target_pose) * rigid(grippers[new]))
+            grades = within_reach(self.surroundings.arm_alone, placed, self.seed, collisions)
+            known |= {keys[i]: int(grade) for i, grade in zip(new, grades, strict=True)}
+        return np.array([known[key] for key in keys], int)
 
     def timed(self, batches: Iterator[list[Found]]) -> Iterator[list[Found]]:
         """The same batches, the time they take counted as GraspGen's."""

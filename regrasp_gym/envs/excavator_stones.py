@@ -199,10 +199,10 @@ class ExcavatorStonesEnv(RegraspEnv):
         """
         from regrasp_planner import GraspGenOptions, PlanOptions
 
-        starts = GraspGenOptions(lean=0.25, max_axes=24, angles=24)
+        starts = GraspGenOptions(lean=0.25, max_axes=24, screened=48)
         return PlanOptions(
-            grasp=replace(starts, deep=0.5, screened=48, refined=8),
-            regrasp=replace(starts, screened=64, refined=8, budget=1200),
+            grasp=replace(starts, angles=24, deep=0.5, refined=8),
+            regrasp=replace(starts, budget=800),
             motion_attempts=8,
             grasps_kept=6,
         )

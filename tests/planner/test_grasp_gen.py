@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.distance import certified_distance
@@ -136,6 +137,28 @@ def test_closing_axes_are_the_local_minima_of_the_width(seed):
             best = trial[width(trial).argmin()]
             x, size = (best, size) if width(best) < width(x) else (x, 0.7 * size)
         assert np.abs(axes @ x).max() > np.cos(np.radians(3.5))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_leaning_axes_come_after_the_minima_and_lean_no_more_than_told(seed):
+    hull = np.random.default_rng(seed).normal(size=(20, 3)) * [0.02, 0.03, 0.04]
+    minima, widths = closing_axes(hull, np.inf, 1000)
+    axes, all_widths = closing_axes(hull, np.inf, 1000, lean=0.25)
+    assert len(axes) > len(minima)
+    np.testing.assert_array_equal(axes[: len(minima)], minima)
+    np.testing.assert_array_equal(all_widths[: len(minima)], widths)
+    differences = (hull[:, None] - hull[None]).reshape(-1, 3)
+    for axis, width in zip(axes, all_widths, strict=True):
+        heights = differences @ axis
+        assert heights.max() == pytest.approx(width)
+        # The lines between contacts that this axis allows, and the one of them that leans least.
+        between = differences[heights > width - 1e-9]
+        assert np.linalg.matrix_rank(between[1:] - between[0], tol=1e-6) == 2
+        weights, _ = nnls(np.vstack([between.T, 1e3 * np.ones(len(between))]), [0, 0, 0, 1e3])
+        nearest = weights @ between
+        leaning = np.arccos(np.clip(width / np.linalg.norm(nearest), -1, 1))
+        # Beyond a corner of the facet it leans more than over the edge.
+        assert leaning < (1e-3 if axis in minima else 2 * 0.25)
 
 
 @pytest.mark.parametrize("seed", range(4))

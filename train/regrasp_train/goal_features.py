@@ -1,5 +1,5 @@
-"""What networks are fed of a goal environment's observation: all of it, in like units, and where things are relative
-to one another."""
+"""Parts of networks: what they are fed of a goal environment's observation (all of it, in like units, and where things
+are relative to one another), and an activation that normalises."""
 
 from __future__ import annotations
 
@@ -50,3 +50,15 @@ class GoalFeatures(BaseFeaturesExtractor):
         to_target = _NEAR * (target - seen[:, self.gripper : self.gripper + 3])
         to_goal = _NEAR * (desired[:, 4:7] - target)
         return torch.cat([self.scale * seen, achieved, desired, to_target, to_goal], dim=1)
+
+
+class NormalizedReLU(torch.nn.Module):
+    """ReLU of the layer's outputs normalised to mean 0 and variance 1.
+
+    Keeps critics from valuing actions that no demonstration shows far beyond those that they do show (Ball et al.,
+    "Efficient online reinforcement learning with offline data", ICML 2023, §4.2).
+    """
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(batch, features) of (batch, features)."""
+        return torch.relu(torch.nn.functional.layer_norm(inputs, inputs.shape[-1:]))

@@ -235,13 +235,14 @@ def new_model(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> Bas
     from stable_baselines3 import PPO, SAC
 
     from regrasp_train.demonstrations import DemonstrationReplayBuffer
-    from regrasp_train.goal_features import GoalFeatures
+    from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
 
     options = dict(settings["hyperparameters"])
     options["policy_kwargs"] = {"features_extractor_class": GoalFeatures, **options.get("policy_kwargs", {})}
     options |= {"seed": settings["seed"], "device": command.device, "tensorboard_log": str(command.run)}
     if settings["algo"] == "ppo":
         return PPO(env=envs, **options)
+    options["policy_kwargs"] = {"activation_fn": NormalizedReLU, **options["policy_kwargs"]}
     buffer = {**options.pop("replay_buffer_kwargs", {}), "demo_share": settings["demo_share"]}
     model = SAC(env=envs, replay_buffer_class=DemonstrationReplayBuffer, replay_buffer_kwargs=buffer, **options)
     if settings["demos"] is not None:
