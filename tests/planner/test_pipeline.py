@@ -6,11 +6,26 @@ import jaxlie
 import numpy as np
 import pytest
 
-from regrasp_planner import Body, ConvexBody, Plan, Reason, ReleaseArea, Scene, SegmentKind, StageKind, Task, plan
+from regrasp_planner import (
+    Body,
+    ConvexBody,
+    Plan,
+    PlanOptions,
+    Reason,
+    ReleaseArea,
+    Scene,
+    SegmentKind,
+    StageKind,
+    Task,
+    plan,
+    stage_search,
+)
 from regrasp_planner.clearance import configuration_clearance
 from regrasp_planner.collision import collision_model
+from regrasp_planner.ik_solve import within_reach
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.robot import forward_kinematics
+from regrasp_planner.stage_search import StageSearch
 
 SIZE = np.array([0.04, 0.05, 0.12])
 
@@ -144,3 +159,26 @@ def test_bad_tasks_are_failures_that_name_the_mistake(panda, make_task, build, s
     found = plan(spoil(make_task(flipped_goal(build))), panda, "static")
     assert found.failure.reason is Reason.BAD_INPUT
     assert message in found.failure.message
+
+
+def test_each_grasp_is_looked_at_once_in_each_place(make_task, panda, build, monkeypatch):
+    stages = StageSearch(make_task(flipped_goal(build)), panda, 0, PlanOptions())
+    pose = stages.task.pick.target_pose
+    # From the middle of the table up to beyond the arm's reach, in the target's frame.
+    placed = np.stack([build.pose((0.5, 0, 0.2 + 0.12 * k), (np.pi, 0, 0)) for k in range(12)])
+    grippers = wxyz_xyz(rigid(pose).inv() * rigid(placed))
+    asked = []
+
+    def counted(model, targets, *rest):
+        asked.append(len(targets))
+        return within_reach(model, targets, *rest)
+
+    monkeypatch.setattr(stage_search, "within_reach", counted)
+    first = stages.looked(pose, grippers[:9])
+    again = stages.looked(pose, grippers[3:])
+    np.testing.assert_array_equal(first[3:], again[:6])
+    assert asked == [9, 3]
+    # Whether the arm hits something is another question.
+    stages.looked(pose, grippers[:2], collisions=False)
+    assert asked == [9, 3, 2]
+    assert set(first.tolist()) == {0, 2}

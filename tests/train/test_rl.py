@@ -28,7 +28,7 @@ from regrasp_train.demonstrations import (
 )
 from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.evaluate import EvalCommand, evaluate
-from regrasp_train.goal_features import GoalFeatures
+from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
 from regrasp_train.learning_curve import read_points
 from regrasp_train.rl import RlCommand, train
 from regrasp_train.rl_envs import make_judging_env, make_learning_env
@@ -92,6 +92,18 @@ def test_features_say_where_the_target_is():
     np.testing.assert_allclose(out[-3:], [0, 0, 1.0], atol=1e-4)
     assert np.abs(out).max() < 5
     env.close()
+
+
+def test_the_activation_bounds_what_a_network_can_say_far_from_its_data():
+    import torch
+
+    inputs = torch.randn(5, 16)
+    out = NormalizedReLU()(inputs)
+    deviation = inputs.std(dim=1, correction=0, keepdim=True)
+    torch.testing.assert_close(
+        out, torch.relu((inputs - inputs.mean(dim=1, keepdim=True)) / deviation), atol=1e-4, rtol=0
+    )
+    torch.testing.assert_close(NormalizedReLU()(1000 * inputs), out, atol=1e-4, rtol=0)
 
 
 @pytest.mark.lerobot
