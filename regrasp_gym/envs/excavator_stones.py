@@ -12,7 +12,8 @@ from regrasp_gym.envs.scenario import RobotSetup, Scenario
 from regrasp_gym.rendering import SITE, Camera
 from regrasp_gym.reward import Tolerance
 from regrasp_gym.robots import excavator
-from regrasp_gym.scenes.slopes import MAX_OTHERS, SlopesConfig, make_scene
+from regrasp_gym.scenes.slopes import make_scene
+from regrasp_gym.scenes.slopes_config import MAX_OTHERS, SlopesConfig
 
 if TYPE_CHECKING:
     from regrasp_planner import PlanOptions

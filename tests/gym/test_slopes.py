@@ -18,7 +18,8 @@ from regrasp_gym.objects.stones import StoneConfig, stone
 from regrasp_gym.rendering import SITE, Camera, SceneRenderer
 from regrasp_gym.scenes.scene import PlacedObject, Scene
 from regrasp_gym.scenes.slope_resting import SHORTEST_EDGE, clearance, seats, slide_apart
-from regrasp_gym.scenes.slopes import MAX_OTHERS, SlopesConfig, make_scene
+from regrasp_gym.scenes.slopes import make_scene
+from regrasp_gym.scenes.slopes_config import MAX_OTHERS, SlopesConfig
 from regrasp_gym.scenes.table_shelf import footprint_gap
 
 coal = pytest.importorskip("coal")
