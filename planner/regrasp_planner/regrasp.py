@@ -67,7 +67,7 @@ class RegraspSearch:
         order = sorted(range(len(poses)), key=lambda k: cones[k].half_angle <= 0)
         rests: list[_Rest] = []
         for k in order:
-            where = resting_poses(area, self._hull, poses.rotations[k], self.options.yaws)
+            where = resting_poses(area, self._hull, poses.rotations[k], self.options.yaws, self.options.spots)
             if where:
                 upright = ReleaseCone(cones[k].axis, 0.0)
                 rests.append(_Rest(upright, cones[k], tuple(where), partial(self._anywhere, tuple(where))))

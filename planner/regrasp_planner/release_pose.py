@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
@@ -11,28 +13,36 @@ from regrasp_planner.scene import ReleaseArea
 
 
 def resting_poses(
-    area: ReleaseArea, hull: Float[np.ndarray, "N 3"], rotation: Float[np.ndarray, "3 3"], yaws: int
+    area: ReleaseArea,
+    hull: Float[np.ndarray, "N 3"],
+    rotation: Float[np.ndarray, "3 3"],
+    yaws: int,
+    spots: Sequence[tuple[float, float]] = ((0.0, 0.0),),
 ) -> list[Pose]:
     """Poses in the release area in which the target rests on one side, at several turns about the vertical.
 
     Args:
-        area: where it may be put down; the target stands on its middle.
+        area: where it may be put down.
         hull: (N, 3) vertices of the target, metres.
         rotation: target to world, of the stable pose.
         yaws: number of turns, evenly spread.
+        spots: where the target stands: (x, y) from −1 to 1, as far as it can be moved within the area; 0 is its middle.
 
     Returns:
-        Poses (7,), without those in which the target does not fit into the area.
+        Poses (7,), spot by spot, without those in which the target does not fit into the area.
     """
     poses: list[Pose] = []
-    for yaw in np.arange(yaws) * (2 * np.pi / yaws):
-        turned = Rotation.from_euler("z", yaw) * Rotation.from_matrix(rotation)
-        points = turned.apply(hull)
-        low, high = points.min(axis=0), points.max(axis=0)
-        if (0.5 * (high - low)[:2] > area.half_extents).any():
-            continue
-        position = np.append(area.center[:2] - 0.5 * (low + high)[:2], area.center[2] - low[2])
-        poses.append(np.concatenate([turned.as_quat(scalar_first=True), position]))
+    for spot in spots:
+        for yaw in np.arange(yaws) * (2 * np.pi / yaws):
+            turned = Rotation.from_euler("z", yaw) * Rotation.from_matrix(rotation)
+            points = turned.apply(hull)
+            low, high = points.min(axis=0), points.max(axis=0)
+            room = area.half_extents - 0.5 * (high - low)[:2]
+            if (room < 0).any():
+                continue
+            middle = area.center[:2] + room * spot
+            position = np.append(middle - 0.5 * (low + high)[:2], area.center[2] - low[2])
+            poses.append(np.concatenate([turned.as_quat(scalar_first=True), position]))
     return poses
 
 

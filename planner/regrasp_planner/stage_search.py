@@ -42,6 +42,7 @@ class PlanOptions:
         max_stable_poses: stable poses tried for a regrasp, most stable first.
         max_stages: stages of a plan at most.
         yaws: turns about the vertical at which the target may be put down.
+        spots: where in the release area it may be put down; see `resting_poses`.
         motion_attempts: grasps, or places to put down, whose motion is planned before giving up on a pair of scenes.
         grasps_kept: grasps that can be reached which are kept for either end of a stage.
         chains: chains of more than two stages whose motion is planned.
@@ -54,6 +55,7 @@ class PlanOptions:
     max_stable_poses: int = 14
     max_stages: int = 4
     yaws: int = 8
+    spots: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
     motion_attempts: int = 4
     grasps_kept: int = 4
     chains: int = 8

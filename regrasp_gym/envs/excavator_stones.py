@@ -196,7 +196,8 @@ class ExcavatorStonesEnv(RegraspEnv):
     def plan_options(self) -> PlanOptions:
         """More effort than for the Panda: round pads hold stones by many more grasps, of which few suit both slopes.
 
-        Starts are taken along axes that lean against the contact normals, too, as far as friction allows.
+        Starts are taken along axes that lean against the contact normals, too, as far as friction allows, and stones are
+        put down nearer to the machine or further off where the boom wants it.
         """
         from regrasp_planner import GraspGenOptions, PlanOptions
 
@@ -206,4 +207,5 @@ class ExcavatorStonesEnv(RegraspEnv):
             regrasp=replace(starts, budget=800),
             motion_attempts=8,
             grasps_kept=6,
+            spots=((0.0, 0.0), (-0.9, 0.0), (0.9, 0.0)),
         )
