@@ -196,7 +196,7 @@ class ExcavatorStonesEnv(RegraspEnv):
     def plan_options(self) -> PlanOptions:
         """More effort than for the Panda: round pads hold stones by many more grasps, of which few suit both slopes.
 
-        Starts are taken along axes that lean against the contact normals, too, as far as friction allows, and stones are
+        Starts are taken along axes that lean against the contact normals, too, as far as friction allows. Stones are
         put down nearer to the machine or further off where the boom wants it.
         """
         from regrasp_planner import GraspGenOptions, PlanOptions

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_planner import stable_poses
 from regrasp_planner.optim import Sphere, trust_region
+from regrasp_planner.pose import rigid
 from regrasp_planner.release import (
     SETTLING_STEPS,
     ReleaseCone,
@@ -18,6 +19,8 @@ from regrasp_planner.release import (
     relaxed_release,
     settling_clearance,
 )
+from regrasp_planner.release_pose import resting_poses
+from regrasp_planner.scene import ReleaseArea
 from regrasp_planner.stab_pose import fibonacci_sphere
 
 CUBE = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
@@ -211,3 +214,20 @@ def test_a_finger_under_the_falling_side_is_in_the_way_and_one_beside_it_is_not(
     assert found[1] == pytest.approx(0.0015)
     # Without a tilt only the start counts.
     assert settling_clearance([box], [below[None]], axis, axis[None])[0] == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize("spot", [(0.0, 0.0), (-1.0, 0.0), (0.5, -0.9)])
+def test_the_target_is_put_down_in_its_spot_within_the_area(spot):
+    hull = np.random.default_rng(1).normal(size=(20, 3)) * [0.02, 0.03, 0.04]
+    rotation = stable_poses(hull).rotations[0]
+    area = ReleaseArea(np.array([0.5, 0.1, 0.02]), np.array([0.14, 0.12]))
+    poses = resting_poses(area, hull, rotation, 8, (spot,))
+    assert len(poses) == 8
+    for pose in poses:
+        points = rigid(pose).apply(hull)
+        low, high = points.min(axis=0), points.max(axis=0)
+        assert low[2] == pytest.approx(0.02)
+        room = area.half_extents - 0.5 * (high - low)[:2]
+        np.testing.assert_allclose(0.5 * (low + high)[:2], area.center[:2] + room * spot, atol=1e-12)
+    large = [*resting_poses(area, 4 * hull, rotation, 8, (spot,))]
+    assert len(large) < 8
