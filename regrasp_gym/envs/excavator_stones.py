@@ -203,9 +203,9 @@ class ExcavatorStonesEnv(RegraspEnv):
 
         starts = GraspGenOptions(lean=0.25, max_axes=24, screened=48)
         return PlanOptions(
-            grasp=replace(starts, angles=24, deep=0.5, refined=8),
+            grasp=replace(starts, max_axes=32, angles=24, deep=0.5, screened=96, refined=16, budget=300),
             regrasp=replace(starts, budget=800),
-            motion_attempts=8,
+            motion_attempts=16,
             grasps_kept=6,
             spots=((0.0, 0.0), (-0.9, 0.0), (0.9, 0.0)),
         )
