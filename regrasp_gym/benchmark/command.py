@@ -15,6 +15,7 @@ from regrasp_gym.benchmark.ik import ik
 from regrasp_gym.benchmark.modules import modules
 from regrasp_gym.benchmark.path import path
 from regrasp_gym.benchmark.releases import releases
+from regrasp_gym.benchmark.simulation import simulation
 from regrasp_gym.benchmark.stable_poses import stable_poses
 from regrasp_gym.benchmark.table3 import table3, table4
 from regrasp_gym.errors import EnvError
@@ -32,6 +33,7 @@ def main() -> None:
         "path": path,
         "pictures": pictures,
         "releases": releases,
+        "simulation": simulation,
         "stable-poses": stable_poses,
         "table3": table3,
         "table4": table4,

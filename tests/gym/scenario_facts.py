@@ -35,7 +35,6 @@ class Facts:
         env_class: what it makes.
         scenario: the scenario.
         steps: time limit, environment steps.
-        reset_seconds: most processor time that a reset takes.
         supports: fixtures that objects may rest on.
         cameras: names of all cameras.
         bare: config of scenes in which nothing is but the target.
@@ -51,7 +50,6 @@ class Facts:
     env_class: type[RegraspEnv]
     scenario: Scenario
     steps: int
-    reset_seconds: float
     supports: frozenset[str]
     cameras: tuple[str, ...]
     bare: Any
@@ -98,7 +96,6 @@ PANDA = Facts(
     env_class=PandaYCBEnv,
     scenario=PANDA_YCB,
     steps=1000,
-    reset_seconds=0.05,
     supports=frozenset({"table", "shelf_board"}),
     cameras=("front", "wrist", "overview"),
     bare=TableShelfConfig(table_clutter=(0, 0), shelf_clutter=(0, 0)),
@@ -116,7 +113,6 @@ EXCAVATOR = Facts(
     scenario=EXCAVATOR_STONES,
     steps=2000,
     # Its stones are made for the scene.
-    reset_seconds=0.15,
     supports=frozenset({"ground", "pick_slope", "place_slope"}),
     cameras=("site", "cab", "overview"),
     bare=SlopesConfig(pick_stones=(0, 0), place_stones=(0, 0), on_top=0.0),

@@ -10,6 +10,7 @@ import pytest
 from regrasp_gym.benchmark.episodes import episodes
 from regrasp_gym.benchmark.episodes import summarise as summarise_episodes
 from regrasp_gym.benchmark.modules import GRASP_GEN, SAMPLING, STAB_POSE, TRIMESH, modules, summarise
+from regrasp_gym.benchmark.simulation import simulation
 from regrasp_gym.benchmark.trials import read_records
 
 
@@ -50,6 +51,17 @@ def test_episodes_are_counted_by_cause() -> None:
     assert summary["execution_failures"] == {"lost grasp": 1}
     assert summary["failed_in_execution"] == [6]
     assert summary["crashed"] == {"ValueError: no": [8]}
+
+
+def test_the_benchmark_of_the_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    json_file = tmp_path / "s.json"
+    simulation(scenes=2, records=tmp_path / "s.jsonl", json_file=json_file)
+    report = json.loads(json_file.read_text())
+    assert (report["scenes"], report["crashed"]) == (2, {})
+    seconds = {name: row["median"] for name, row in report["seconds"].items()}
+    assert 0 < seconds["scene"] < seconds["reset, scene included"]
+    assert 0 < seconds["observed picture, 128 × 128"] < seconds["frame, 640 × 480"]
+    assert "step, random action" in capsys.readouterr().out
 
 
 @pytest.mark.slow

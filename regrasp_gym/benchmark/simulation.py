@@ -1,0 +1,98 @@
+"""What an environment takes to make a scene, reset, take a step and draw, per call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+import regrasp_gym  # noqa: F401  registers the environments
+from regrasp_gym.benchmark.trials import Record, crashes, run_trials, write_report
+
+STEPS = 50
+"""Steps timed in each scene, of each kind."""
+
+
+def simulation(
+    env: str = "regrasp_gym/PandaYCB-v0",
+    scenes: int = 100,
+    first_seed: int = 0,
+    workers: int = 1,
+    records: Path = Path("outputs/bench/simulation.jsonl"),
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+) -> None:
+    """Time making a scene, resetting into it, steps at rest and under random actions, and drawing it.
+
+    Args:
+        env: id of the environment.
+        scenes: how many.
+        first_seed: seed of the first.
+        workers: processes; with more than one the times are not to be trusted.
+        records: one JSON line per scene, appended as they end.
+        json_file: write the summary as JSON.
+    """
+    setting: Record = {"env": env, "steps": STEPS, "version": version("regrasp-gym")}
+    seeds = range(first_seed, first_seed + scenes)
+    ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="scenes")
+    report = summarise(setting, ended)
+    _show(report)
+    write_report(json_file, report, ("regrasp-gym", "mujoco", "numpy"))
+
+
+def summarise(setting: Record, scenes: list[Record]) -> Record:
+    """Median and 90 % quantile of the seconds of each call."""
+    timed = [scene["seconds"] for scene in scenes if "seconds" in scene]
+    figures = {
+        name: {"median": float(np.median(values)), "p90": float(np.quantile(values, 0.9))}
+        for name in (timed[0] if timed else ())
+        for values in [[seconds[name] for seconds in timed]]
+    }
+    return {**setting, "scenes": len(timed), "seconds": figures, "crashed": crashes(scenes)}
+
+
+def _prepare(setting: Record) -> Callable[[int], Record]:
+    made: Any = gymnasium.make(setting["env"], render_mode="rgb_array", max_episode_steps=2 * STEPS + 1)
+    scenario, config = made.unwrapped.scenario, made.unwrapped.scene_config
+    observed = made.unwrapped.picture
+    made.reset(seed=0)
+    made.render()
+
+    def run(seed: int) -> Record:
+        made.action_space.seed(seed)
+        seconds = {"scene": _seconds(lambda: scenario.make_scene(seed, config))}
+        seconds["reset, scene included"] = _seconds(lambda: made.reset(seed=seed))
+        seconds["first frame of a scene"] = _seconds(made.render)
+        seconds["frame, 640 × 480"] = _seconds(made.render)
+        seconds["observed picture, 128 × 128"] = _seconds(lambda: observed("wrist", 128, 128), 5)
+        at_rest = made.unwrapped.action_toward(made.unwrapped.command)
+        seconds["step at rest"] = _seconds(lambda: made.step(at_rest), STEPS)
+        seconds["step, random action"] = _seconds(lambda: made.step(made.action_space.sample()), STEPS)
+        return {"seconds": seconds}
+
+    return run
+
+
+def _seconds(call: Callable[[], object], times: int = 1) -> float:
+    """Mean seconds of a call."""
+    began = time.perf_counter()
+    for _ in range(times):
+        call()
+    return (time.perf_counter() - began) / times
+
+
+def _show(report: Record) -> None:
+    table = Table("call", "ms", "p90", title=f"{report['env']}, {report['scenes']} scenes")
+    for name, row in report["seconds"].items():
+        table.add_row(name, f"{1e3 * row['median']:.2f}", f"{1e3 * row['p90']:.2f}")
+    console = Console()
+    console.print(table)
+    for error, seeds in report["crashed"].items():
+        console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
