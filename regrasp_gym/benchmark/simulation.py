@@ -14,7 +14,6 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-import regrasp_gym  # noqa: F401  registers the environments
 from regrasp_gym.benchmark.trials import Record, crashes, run_trials, write_report
 
 STEPS = 50
