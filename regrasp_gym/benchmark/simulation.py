@@ -15,6 +15,10 @@ from rich.console import Console
 from rich.table import Table
 
 from regrasp_gym.benchmark.trials import Record, crashes, run_trials, write_report
+from regrasp_gym.rendering import SceneRenderer
+
+OBSERVED = 128
+"""Edge of an observed picture, pixels."""
 
 STEPS = 50
 """Steps timed in each scene, of each kind."""
@@ -60,17 +64,25 @@ def summarise(setting: Record, scenes: list[Record]) -> Record:
 def _prepare(setting: Record) -> Callable[[int], Record]:
     made: Any = gymnasium.make(setting["env"], render_mode="rgb_array", max_episode_steps=2 * STEPS + 1)
     scenario, config = made.unwrapped.scenario, made.unwrapped.scene_config
-    observed = made.unwrapped.picture
+    renderer = SceneRenderer(OBSERVED, OBSERVED)
+
+    def observe() -> None:
+        world = made.unwrapped.world
+        renderer.render(world.model, world.data, scenario.pixels[0], OBSERVED, OBSERVED)
+
     made.reset(seed=0)
     made.render()
+    observe()
 
     def run(seed: int) -> Record:
         made.action_space.seed(seed)
+        scenario.make_scene(seed, config)  # its objects are kept from now on
         seconds = {"scene": _seconds(lambda: scenario.make_scene(seed, config))}
         seconds["reset, scene included"] = _seconds(lambda: made.reset(seed=seed))
         seconds["first frame of a scene"] = _seconds(made.render)
         seconds["frame, 640 × 480"] = _seconds(made.render)
-        seconds["observed picture, 128 × 128"] = _seconds(lambda: observed("wrist", 128, 128), 5)
+        observe()
+        seconds[f"observed picture, {OBSERVED} × {OBSERVED}"] = _seconds(observe, 5)
         at_rest = made.unwrapped.action_toward(made.unwrapped.command)
         seconds["step at rest"] = _seconds(lambda: made.step(at_rest), STEPS)
         seconds["step, random action"] = _seconds(lambda: made.step(made.action_space.sample()), STEPS)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from scenario_facts import Facts
 
 from regrasp_gym.benchmark.episodes import episodes
 from regrasp_gym.benchmark.episodes import summarise as summarise_episodes
@@ -53,9 +54,9 @@ def test_episodes_are_counted_by_cause() -> None:
     assert summary["crashed"] == {"ValueError: no": [8]}
 
 
-def test_the_benchmark_of_the_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_benchmark_of_the_simulation(facts: Facts, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     json_file = tmp_path / "s.json"
-    simulation(scenes=2, records=tmp_path / "s.jsonl", json_file=json_file)
+    simulation(facts.env_id, scenes=2, records=tmp_path / "s.jsonl", json_file=json_file)
     report = json.loads(json_file.read_text())
     assert (report["scenes"], report["crashed"]) == (2, {})
     seconds = {name: row["median"] for name, row in report["seconds"].items()}
