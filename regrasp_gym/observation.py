@@ -106,22 +106,24 @@ def agent_vector(world: World) -> Float[np.ndarray, " n+1"]:
     return np.append(world.joint_positions, world.theta)
 
 
-def achieved_goal(world: World, tolerance: Tolerance) -> Float[np.ndarray, " 10"]:
+def achieved_goal(world: World, tolerance: Tolerance, held: bool = False) -> Float[np.ndarray, " 10"]:
     """The goal that the present state is an example of (see `regrasp_gym.reward`).
 
     The target counts as moving while it is faster than the tolerance, and while nothing but the gripper supports it:
-    an object at the top of a throw is not at rest.
+    an object at the top of a throw is not at rest. Where the goal is to have it ``held``, it counts as moving unless
+    the gripper, and nothing else, supports it.
     """
     pose, velocity = world.target_pose, world.target_velocity
     touched, supported = world.target_contacts()
     slow = np.linalg.norm(velocity[:3]) <= tolerance.speed and np.linalg.norm(velocity[3:]) <= tolerance.turn_rate
     reach = np.linalg.norm(world.gripper_pose[4:] - pose[4:])
-    return np.concatenate([pose, np.array([not (slow and supported), touched, reach], float)])
+    carried = touched and not supported if held else supported
+    return np.concatenate([pose, np.array([not (slow and carried), touched, reach], float)])
 
 
-def desired_goal(world: World) -> Float[np.ndarray, " 10"]:
-    """The scene's goal: the target there, at rest, not touched."""
-    return np.concatenate([canonical(world.scene.goal_pose), np.zeros(GOAL_SIZE - 7)])
+def desired_goal(world: World, held: bool = False) -> Float[np.ndarray, " 10"]:
+    """The scene's goal: the target there, at rest, and not touched unless it is to be ``held``."""
+    return np.concatenate([canonical(world.scene.goal_pose), np.array([0.0, held, 0.0])])
 
 
 def _others(world: World, max_others: int) -> Float[np.ndarray, " o"]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-from regrasp_planner.errors import StrategyError
 from regrasp_planner.grasp import Grasp
 from regrasp_planner.regrasp import RegraspSearch
 from regrasp_planner.robot import Robot
@@ -44,9 +43,6 @@ def plan(
     Raises:
         StrategyError: unknown strategy.
     """
-    names = [str(member) for member in Strategy]
-    if strategy not in names:
-        raise StrategyError(f"unknown strategy {strategy!r}; the strategies are {', '.join(names)}")
     strategy = Strategy(strategy)
     began = time.perf_counter()
     try:

@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float
 
+from regrasp_planner.errors import StrategyError
 from regrasp_planner.grasp import Grasp
 from regrasp_planner.pose import Pose
 from regrasp_planner.trajectory import Trajectory
@@ -26,6 +27,10 @@ class Strategy(StrEnum):
     """As many regrasps as needed, up to a bound."""
     SAMPLING = "sampling"
     """The baseline: one grasp from pick to place, chosen from many random ones instead of by GraspGen."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Strategy:
+        raise StrategyError(f"unknown strategy {value!r}; the strategies are {', '.join(cls)}")
 
 
 class StageKind(StrEnum):

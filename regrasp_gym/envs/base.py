@@ -15,7 +15,7 @@ from regrasp_gym import control, observation, rendering, reward
 from regrasp_gym.envs.scenario import Scenario
 from regrasp_gym.envs.task import make_task
 from regrasp_gym.envs.world import World, base_spec
-from regrasp_gym.errors import OptionError, StateError
+from regrasp_gym.errors import EnvError, OptionError, StateError
 from regrasp_gym.scenes.scene import Scene
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ ObsType = Literal["state", "pixels_agent_pos"]
 ControlMode = Literal["joint_pos", "ee_delta"]
 RewardType = Literal["sparse", "dense"]
 RenderMode = Literal["human", "rgb_array"]
+Goals = tuple[Float[np.ndarray, " 10"], Float[np.ndarray, " 10"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +137,8 @@ class RegraspEnv(gymnasium.Env):
         self._command = np.append(self.scenario.robot.home, self.scenario.robot.theta_range[1])
         self._elapsed = 0
         self._show()
-        return self._observe(), self._info() | {"instruction": scene.instruction, "target": scene.target.name}
+        goals = self._goals()
+        return self._observe(goals), self._info(goals) | {"instruction": scene.instruction, "target": scene.target.name}
 
     def step(self, action: Float[np.ndarray, " m"]) -> tuple[dict, float, bool, bool, dict[str, Any]]:
         """Act for one control period.
@@ -150,9 +152,10 @@ class RegraspEnv(gymnasium.Env):
         world.run(last, self._command, round(self.scenario.control_period / world.model.opt.timestep))
         self._elapsed += 1
         self._show()
-        info = self._info()
-        earned = self._reward(self._achieved(), self._desired(), self.scenario.tolerance)
-        return self._observe(), float(earned), self.terminate_on_success and info["is_success"], False, info
+        goals = self._goals()
+        info = self._info(goals)
+        earned = self._reward(*goals, self.scenario.tolerance)
+        return self._observe(goals), float(earned), self.terminate_on_success and info["is_success"], False, info
 
     def render(self) -> UInt8[np.ndarray, "H W 3"] | None:
         """A picture of the present state, or None where a window shows it."""
@@ -210,7 +213,7 @@ class RegraspEnv(gymnasium.Env):
     @property
     def is_success(self) -> bool:
         """Whether the target counts as placed now: what ``info["is_success"]`` says."""
-        return bool(reward.is_success(self._achieved(), self._desired(), self.scenario.tolerance))
+        return bool(reward.is_success(*self._goals(), self.scenario.tolerance))
 
     def action_toward(self, command: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, " m"]:
         """The action (float32, within the action space) that comes nearest to a command (n + 1,)."""
@@ -285,19 +288,20 @@ class RegraspEnv(gymnasium.Env):
         """Go back to a saved state, of this environment or of another one of the same id, and return its observation.
 
         Raises:
-            StateError: not a saved state, or one of another scenario.
+            StateError: not a saved state, or one of another robot or of more objects than observations have room for.
         """
         if not isinstance(state, EnvState):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise StateError(f"{type(state).__name__} is no saved state; give what get_state() returned")
         if state.joints != self.scenario.robot.arm_joints:
             raise StateError(f"the state is of another robot, with the joints {', '.join(state.joints)}")
+        self._check_room(state.scene, StateError)
         if self._world is None or state.scene is not self._world.scene:
             self._world = World(self._base, self.scenario.robot, state.scene)
         self._world.set_state(state.physics)
         self._command = state.command.copy()
         self._elapsed = state.elapsed
         self.np_random.bit_generator.state = state.random
-        return self._observe()
+        return self._observe(self._goals())
 
     @property
     def elapsed(self) -> int:
@@ -318,13 +322,16 @@ class RegraspEnv(gymnasium.Env):
         if isinstance(wanted, (int, np.integer)) and not isinstance(wanted, bool):
             return self.scenario.make_scene(int(wanted), self.scene_config)
         if isinstance(wanted, Scene):
-            if len(wanted.others) > self.scenario.max_others:
-                raise OptionError(
-                    f"the scene has {len(wanted.others)} objects besides the target; observations have room for "
-                    f"{self.scenario.max_others}"
-                )
+            self._check_room(wanted, OptionError)
             return wanted
         raise OptionError(f"option 'scene' is {wanted!r}; give a scene or the seed of one")
+
+    def _check_room(self, scene: Scene, error: type[EnvError]) -> None:
+        if len(scene.others) > self.scenario.max_others:
+            raise error(
+                f"the scene has {len(scene.others)} objects besides the target; observations have room for "
+                f"{self.scenario.max_others}"
+            )
 
     def _make_control(self) -> control.Control:
         robot = self.scenario.robot
@@ -346,19 +353,18 @@ class RegraspEnv(gymnasium.Env):
             self.scenario.rotation_step,
         )
 
-    def _achieved(self) -> Float[np.ndarray, " 10"]:
-        return observation.achieved_goal(self.world, self.scenario.tolerance)
+    def _goals(self) -> Goals:
+        """Achieved and desired goal. A step works them out once: contacts and poses take time."""
+        world, held = self.world, self.scenario.held
+        return observation.achieved_goal(world, self.scenario.tolerance, held), observation.desired_goal(world, held)
 
-    def _desired(self) -> Float[np.ndarray, " 10"]:
-        return observation.desired_goal(self.world)
-
-    def _observe(self) -> dict:
+    def _observe(self, goals: Goals) -> dict:
         world, room = self.world, self.scenario.max_others
         if self.obs_type == "state":
             return {
                 "observation": observation.state_vector(world, room),
-                "achieved_goal": self._achieved(),
-                "desired_goal": self._desired(),
+                "achieved_goal": goals[0],
+                "desired_goal": goals[1],
             }
         height, width = self.image_size
         return {
@@ -370,8 +376,9 @@ class RegraspEnv(gymnasium.Env):
             "environment_state": observation.environment_vector(world, room),
         }
 
-    def _info(self) -> dict[str, Any]:
-        return {"is_success": self.is_success, "scene_seed": self.scene.seed}
+    def _info(self, goals: Goals) -> dict[str, Any]:
+        success = bool(reward.is_success(*goals, self.scenario.tolerance))
+        return {"is_success": success, "scene_seed": self.scene.seed}
 
     def _show(self) -> None:
         if self._window is not None:

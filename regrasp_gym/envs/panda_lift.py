@@ -7,9 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
-from regrasp_gym import observation
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB
 from regrasp_gym.reward import Tolerance
@@ -23,6 +21,7 @@ PANDA_LIFT = replace(
     make_scene=make_scene,
     tolerance=Tolerance(position=0.025, rotation=float(np.deg2rad(30)), speed=0.05, turn_rate=0.5),
     max_others=0,
+    held=True,
 )
 """The Panda on its table, with a single object."""
 
@@ -114,19 +113,7 @@ class PandaYCBLiftEnv(RegraspEnv):
     ) -> Plan:
         """A grasp from the planner and a straight line up; the strategy makes no difference."""
         from regrasp_gym.lift_plan import plan_lift
+        from regrasp_planner import Strategy
 
-        del strategy
-        return plan_lift(self.task(), self.planner_robot, seed, options, known_grasps)
-
-    def _achieved(self) -> Float[np.ndarray, " 10"]:
-        goal = observation.achieved_goal(self.world, self.scenario.tolerance)
-        touched, supported = self.world.target_contacts()
-        velocity, tolerance = self.world.target_velocity, self.scenario.tolerance
-        slow = np.linalg.norm(velocity[:3]) <= tolerance.speed and np.linalg.norm(velocity[3:]) <= tolerance.turn_rate
-        goal[7] = not (slow and touched and not supported)
-        return goal
-
-    def _desired(self) -> Float[np.ndarray, " 10"]:
-        goal = observation.desired_goal(self.world)
-        goal[8] = 1.0
-        return goal
+        Strategy(strategy)  # only to name one that does not exist
+        return plan_lift(self.task(), self.planner_robot, seed, options or self.plan_options(), known_grasps)

@@ -65,6 +65,7 @@ class Scenario:
         pixels: names of the cameras in observations with pixels.
         floor_height: of the floor, metres.
         setting: what the scenes are lit and surrounded by.
+        held: whether the target is to be held at the goal, instead of let go there.
     """
 
     robot: RobotSetup
@@ -80,3 +81,4 @@ class Scenario:
     pixels: tuple[str, ...]
     floor_height: float
     setting: Setting = TABLE_TOP
+    held: bool = False

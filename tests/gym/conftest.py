@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
-
-# Helpers beside the tests are imported by name.
-sys.path.insert(0, str(Path(__file__).parent))
 from scenario_facts import SCENARIOS, Facts
 
 

@@ -9,17 +9,14 @@ import sys
 import time
 from pathlib import Path
 
+import numbered_trials
 import numpy as np
 import psutil
 import pytest
+from numbered_trials import squares, unprepared
 
 from regrasp_gym.benchmark.trials import crashes, peer, read_records, run_trials, wilson, write_report
 from regrasp_gym.errors import BenchError
-
-# Workers import the trials by name, and take over this process's module path.
-sys.path.insert(0, str(Path(__file__).parent))
-import numbered_trials
-from numbered_trials import squares, unprepared
 
 TRIALS = [3, 1, 4, 5]
 

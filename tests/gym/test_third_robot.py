@@ -14,6 +14,7 @@ import ur_like
 from gymnasium.utils.env_checker import check_env
 
 import regrasp_gym
+from regrasp_gym.benchmark.episodes import run_episode
 from regrasp_gym.reward import pose_errors
 from regrasp_planner.robot import forward_kinematics
 
@@ -92,12 +93,6 @@ def test_it_follows_its_commands_and_holds_still(env):
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "strategy", "stages"), [(DIRECT_SEED, "direct", 1), (REGRASP_SEED, "static", 2)])
 def test_the_expert_solves_its_scenes(env, seed, strategy, stages):
-    expert = regrasp_gym.PlannerExpert(env, strategy=strategy)
-    env.reset(seed=seed)
-    assert expert.reset(), expert.failure
-    assert len(expert.plan.stages) == stages
-    info = {}
-    while (action := expert.act()) is not None:
-        *_, truncated, info = env.step(action)
-        assert not truncated
-    assert info["is_success"], expert.failure
+    record = run_episode(env, regrasp_gym.PlannerExpert(env, strategy=strategy), seed)
+    assert record["success"], record["detail"]
+    assert len(record["stages"]) == stages

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+LIFT = "regrasp_gym/PandaYCBLift-v0"
+
 
 class ScriptedLift:
     """Proportional moves of the gripper; made and asked like the planner's expert."""
@@ -49,3 +51,16 @@ class ScriptedLift:
         closing = Rotation.from_quat(gripper[:4], scalar_first=True).as_matrix()[:, 1]
         angle = np.arctan2(narrow[1], narrow[0]) - np.arctan2(closing[1], closing[0])
         return (angle + np.pi / 2) % np.pi - np.pi / 2
+
+
+def collected(root, **options):
+    """Collect lifts of the scripted expert."""
+    from rich.console import Console
+
+    from regrasp_datasets.collect import CollectOptions, collect
+
+    chosen = CollectOptions(
+        root=root, env=LIFT, control_mode="ee_delta", expert="scripted_lift:ScriptedLift", **{"images": False} | options
+    )
+    assert collect(chosen, Console(quiet=True)) == 0
+    return root

@@ -6,13 +6,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from scripted_lift import ScriptedLift
+from scripted_lift import LIFT, ScriptedLift
 
 import regrasp_gym
-from regrasp_gym.errors import SceneError
+from regrasp_gym.benchmark.episodes import run_episode
+from regrasp_gym.errors import SceneError, StateError
 from regrasp_gym.scenes.lift import LiftConfig, make_scene
-
-LIFT = "regrasp_gym/PandaYCBLift-v0"
+from regrasp_planner import StrategyError
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +84,23 @@ def test_relabelled_goals_are_reached(env):
     assert (reward[:20] == -1).all()
 
 
+def test_states_with_more_objects_are_refused(env):
+    full = gym.make("regrasp_gym/PandaYCB-v0")
+    full.reset(seed=0)
+    env.reset(seed=0)
+    scene = env.unwrapped.scene
+    with pytest.raises(StateError, match="objects besides the target"):
+        env.unwrapped.set_state(full.unwrapped.get_state())
+    assert env.unwrapped.scene is scene
+    full.close()
+
+
+def test_unknown_strategies_are_named(env):
+    env.reset(seed=0)
+    with pytest.raises(StrategyError, match=r"'clever'.*direct"):
+        env.unwrapped.plan("clever")
+
+
 def test_wrong_configs_are_named():
     with pytest.raises(SceneError, match="unknown object 'brick'"):
         LiftConfig(targets=("brick",))
@@ -101,13 +118,7 @@ def test_the_planners_expert_lifts(control_mode):
     made = gym.make(LIFT, control_mode=control_mode)
     expert = regrasp_gym.PlannerExpert(made)
     for seed in range(3):
-        made.reset(seed=seed)
-        assert expert.reset(), expert.failure
-        assert len(expert.plan.stages) == 1
-        success = False
-        while (action := expert.act()) is not None:
-            *_, truncated, info = made.step(action)
-            success = info["is_success"]
-            assert not truncated
-        assert success, expert.failure
+        record = run_episode(made, expert, seed)
+        assert record["success"], record["detail"]
+        assert len(record["stages"]) == 1
     made.close()
