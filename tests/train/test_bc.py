@@ -6,16 +6,19 @@ import json
 import os
 import subprocess
 import sys
+import time
 
 import pytest
-from conftest import LIFT, collected
+from scripted_lift import LIFT, collected
 
 pytest.importorskip("lerobot")
 pytest.importorskip("yaml")
 
+from regrasp_gym.seeds import FIRST_SEED
 from regrasp_train.bc import BcCommand, flattened, fresh, merged, train
 from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.evaluate import EvalCommand, evaluate
+from regrasp_train.scenes import held_out
 
 pytestmark = pytest.mark.lerobot
 
@@ -46,7 +49,9 @@ def test_tables_are_merged_and_flattened():
     ]
 
 
-def test_a_run_goes_on(trained):
+def test_a_run_goes_on(trained, lifts):
+    with pytest.raises(RunError, match="--resume"):
+        fresh(BcCommand(trained, lifts))
     assert sorted(path.name for path in (trained / "checkpoints").iterdir()) == ["000002", "000004", "last"]
     saved = json.loads((policy_of(trained) / "train_config.json").read_text())
     assert saved["env"]["task"] == LIFT.removeprefix("regrasp_gym/")
@@ -106,8 +111,37 @@ def test_a_dataset_that_does_not_fit_is_refused(lifts, tmp_path):
     with pytest.raises(RunError, match="no checkpoint"):
         train(BcCommand(run, resume=True))
     run.mkdir()
-    with pytest.raises(RunError, match="--resume"):
+    with pytest.raises(RunError, match="remove it"):
         fresh(BcCommand(run, lifts))
+    with pytest.raises(RunError, match="'sac' is not one of behaviour cloning"):
+        fresh(BcCommand(tmp_path / "new", lifts, config="sac"))
+
+
+def test_validation_is_in_held_out_scenes(lifts, tmp_path):
+    arguments = fresh(BcCommand(tmp_path / "run", lifts, seed=3))
+    assert f"--seed={FIRST_SEED['val'] + 3}" in arguments
+    assert not any(argument.startswith("--env.split") for argument in arguments)
+    of_list = held_out("regrasp_gym/PandaYCBDirect-v0", "val")
+    assert of_list == (0, {"split": "val"})
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on(lifts, tmp_path):
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "regrasp_train.bc", "--run", str(run), "--dataset", str(lifts), "--device", "cpu"]
+    command += ["--steps", "100000", "--batch-size", "4", "--save-every", "5", "--", *SMALL]
+    process = subprocess.Popen(command, env=OFFLINE)
+    deadline = time.monotonic() + 120
+    while not (run / "checkpoints" / "000010" / "training_state" / "training_step.json").exists():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    process.kill()
+    process.wait()
+    state = run / "checkpoints" / "last" / "training_state" / "training_step.json"
+    steps = json.loads(state.read_text())["step"]
+    train(BcCommand(run, steps=steps + 2, resume=True))
+    assert json.loads(state.read_text())["step"] == steps + 2
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import LIFT
+from scripted_lift import LIFT
 
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("tensorboard")
@@ -19,7 +19,7 @@ pytest.importorskip("tensorboard")
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from regrasp_train.checkpoints import checkpoints_in
+from regrasp_gym.errors import BenchError
 from regrasp_train.demonstrations import (
     DemonstrationReplayBuffer,
     check_demonstrations,
@@ -30,8 +30,9 @@ from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.evaluate import EvalCommand, evaluate
 from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
 from regrasp_train.learning_curve import read_points
-from regrasp_train.rl import RlCommand, train
+from regrasp_train.rl import RlCommand, learning_envs, restored, train
 from regrasp_train.rl_envs import make_judging_env, make_learning_env
+from regrasp_train.run_folder import PROGRESS, checkpoints_in, read_run
 
 pytestmark = pytest.mark.rl
 
@@ -78,19 +79,22 @@ def test_judging_goes_through_the_validation_scenes_in_turn():
     env.close()
 
 
-def test_features_say_where_the_target_is():
+@pytest.mark.parametrize("env_id", [LIFT, "regrasp_gym/ExcavatorStones-v0"])
+def test_features_say_where_the_target_is(env_id):
     import torch
 
-    env = make_learning_env(LIFT, KWARGS)
+    env = make_learning_env(env_id, KWARGS)
     observation, _ = env.reset(seed=1)
-    features = GoalFeatures(env.observation_space)
+    features = GoalFeatures(env.observation_space, joints=len(env.unwrapped.scenario.robot.arm_joints))
     batch = {key: torch.as_tensor(value)[None] for key, value in observation.items()}
     out = features(batch)[0].numpy()
     assert out.shape == (features.features_dim,)
     world = env.unwrapped.world
     np.testing.assert_allclose(out[-6:-3], 10 * (world.target_pose[4:] - world.gripper_pose[4:]), atol=1e-4)
-    np.testing.assert_allclose(out[-3:], [0, 0, 1.0], atol=1e-4)
-    assert np.abs(out).max() < 5
+    to_goal = 10 * (env.unwrapped.scene.goal_pose[4:] - world.target_pose[4:])
+    np.testing.assert_allclose(out[-3:], to_goal, atol=1e-4)
+    if env_id == LIFT:
+        assert np.abs(out).max() < 5
     env.close()
 
 
@@ -152,7 +156,7 @@ def test_demonstrations_of_another_kind_are_refused(tmp_path, sac, lifts):
 def test_a_run_goes_on_and_is_evaluated(tmp_path, sac):
     run = tmp_path / "run"
     train(options(tmp_path, sac))
-    assert [path.name for path in checkpoints_in(run / "checkpoints")] == ["000000160", "000000320"]
+    assert [path.name for path in checkpoints_in(run)] == ["000000000", "000000160", "000000320"]
     assert [path.parent.name for path in run.glob("checkpoints/*/replay_buffer.pkl")] == ["000000320"]
     with pytest.raises(RunError, match="--resume"):
         train(options(tmp_path, sac))
@@ -177,9 +181,62 @@ def test_a_run_goes_on_and_is_evaluated(tmp_path, sac):
         evaluate(EvalCommand(str(run / "model.zip"), env="regrasp_gym/PandaYCB-v0", records=tmp_path / "e.jsonl"))
 
 
-def test_nothing_to_go_on_from(tmp_path):
+def test_nothing_to_go_on_from(tmp_path, sac):
     with pytest.raises(RunError, match="no checkpoint"):
         train(RlCommand(run=tmp_path / "nowhere", resume=True))
+    (tmp_path / "run").mkdir()
+    with pytest.raises(RunError, match="remove it"):
+        train(options(tmp_path, sac))
+
+
+def test_a_run_that_goes_on_keeps_what_it_was_told(tmp_path, sac):
+    """Its steps, its best model, and no scene twice."""
+    run = tmp_path / "run"
+    train(options(tmp_path, sac, steps=160))
+    train(options(tmp_path, sac, steps=320, resume=True, save_every=None, eval_every=None, eval_episodes=None))
+    told = read_run(run)
+    assert (told["n_timesteps"], told["save_every"], told["eval_episodes"]) == (320, 160, 1)
+    assert (run / "best" / "best_model.zip").exists()
+    last = checkpoints_in(run)[-1] / PROGRESS
+    progress = json.loads(last.read_text())
+    assert progress["best"] == -150
+    # Better than an untrained model ever does: what it learns now is no new best one.
+    last.write_text(json.dumps({**progress, "best": -10.0}))
+    before = (run / "best" / "best_model.zip").stat().st_mtime_ns
+    again = RlCommand(run=run, steps=480, resume=True, progress=False, device="cpu")
+    train(again)
+    assert (run / "best" / "best_model.zip").stat().st_mtime_ns == before
+    assert read_points(run / "curve.jsonl")[-1].steps == 480
+
+
+def test_a_run_that_goes_on_sees_other_scenes(tmp_path, sac):
+    train(options(tmp_path, sac, steps=160))
+    settings = read_run(tmp_path / "run")
+    seen = []
+    for steps in (160, 161):
+        last = checkpoints_in(tmp_path / "run")[-1] / PROGRESS
+        last.write_text(json.dumps({**json.loads(last.read_text()), "steps": steps}))
+        envs = learning_envs(settings)
+        restored(settings, envs, RlCommand(run=tmp_path / "run", device="cpu"))
+        envs.reset()
+        seen.append(envs.envs[0].unwrapped.scene.seed)
+        envs.close()
+    assert len({settings["seed"], *seen}) == 3
+
+
+def test_runs_to_compare_with_are_checked_first(tmp_path, sac):
+    with pytest.raises(RunError, match="no learning curve"):
+        train(options(tmp_path, sac, compare=(tmp_path / "other",)))
+    with pytest.raises(BenchError, match=r"\.svg"):
+        train(options(tmp_path, sac, plot=tmp_path / "curve.txt"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_episode_is_over_before_learning_starts(tmp_path):
+    file = tmp_path / "sac.yml"
+    file.write_text(SAC.format(n_envs=2, reward="sparse"))
+    train(options(tmp_path, str(file), steps=400, eval_every=10**6))
+    assert checkpoints_in(tmp_path / "run")[-1].name == "000000400"
 
 
 def test_ppo_learns_in_several_environments(tmp_path):
@@ -197,12 +254,12 @@ def test_a_killed_run_goes_on(tmp_path, sac, lifts):
     arguments += ["--device", "cpu", "--save-every", "160", "--eval-every", "100000", "--demos", str(lifts)]
     process = subprocess.Popen([*arguments, "--steps", "1000000"])
     deadline = time.monotonic() + 120
-    while len(checkpoints_in(run / "checkpoints")) < 2:
+    while len(checkpoints_in(run)) < 3:
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.2)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    steps = int(checkpoints_in(run / "checkpoints")[-1].name)
+    steps = int(checkpoints_in(run)[-1].name)
     train(options(tmp_path, sac, steps=steps + 80, eval_every=10**6, resume=True))
-    assert checkpoints_in(run / "checkpoints")[-1].name == f"{steps + 80:09d}"
+    assert checkpoints_in(run)[-1].name == f"{steps + 80:09d}"

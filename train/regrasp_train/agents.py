@@ -64,7 +64,7 @@ def trained_in(policy: str) -> tuple[str | None, dict[str, Any]]:
     """
     kind = kind_of(policy)
     if kind == "sb3":
-        from regrasp_train.checkpoints import read_run
+        from regrasp_train.run_folder import read_run
 
         run = read_run(Path(policy))
         return run["env"], {"control_mode": run["env_kwargs"].get("control_mode", "joint_pos")}
@@ -135,6 +135,7 @@ class LeRobotAgent:
     failure = ""
 
     def __init__(self, path: Path, env: gym.Env, device: str | None) -> None:
+        import torch
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
@@ -152,6 +153,7 @@ class LeRobotAgent:
             preprocessor_overrides={"device_processor": {"device": config.device}},
         )
         self._inputs = set(config.input_features or {})
+        self._device = torch.device(config.device or "cpu")
 
     def reset(self, seed: int) -> None:
         """Begin a new sequence of actions."""
@@ -163,18 +165,15 @@ class LeRobotAgent:
     def act(self, observation: dict[str, Any]) -> np.ndarray:
         """The policy's action."""
         import torch
+        from lerobot.policies.utils import prepare_observation_for_inference
 
         from regrasp_datasets.features import ENVIRONMENT_STATE, IMAGE_PREFIX, STATE, observe
 
         seen = observe(self._env, observation)
-        batch: dict[str, Any] = {
-            STATE: torch.from_numpy(seen.state)[None],
-            ENVIRONMENT_STATE: torch.from_numpy(seen.environment_state)[None],
-            "task": [_inner(self._env).task_description],
-        }
-        for camera, image in seen.images.items():
-            batch[IMAGE_PREFIX + camera] = torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255
-        batch = {key: value for key, value in batch.items() if key in self._inputs or key == "task"}
+        parts = {STATE: seen.state, ENVIRONMENT_STATE: seen.environment_state}
+        parts |= {IMAGE_PREFIX + camera: image for camera, image in seen.images.items()}
+        wanted = {key: part for key, part in parts.items() if key in self._inputs}
+        batch = prepare_observation_for_inference(wanted, self._device, _inner(self._env).task_description)
         with torch.inference_mode():
             action = self._after(self._policy.select_action(self._before(batch)))
         return action[0].cpu().numpy()
@@ -195,7 +194,7 @@ class Sb3Agent:
         from stable_baselines3 import PPO, SAC
         from stable_baselines3.common.buffers import DictReplayBuffer
 
-        from regrasp_train.checkpoints import read_run
+        from regrasp_train.run_folder import read_run
 
         made = {"sac": SAC, "ppo": PPO}[read_run(path)["algo"]]
         # Of no use here: a replay buffer would be reserved at once, and one with hindsight asks for an environment.

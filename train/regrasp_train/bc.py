@@ -15,9 +15,10 @@ import tyro
 from rich.console import Console
 
 from regrasp_datasets.quiet import quiet_environment
-from regrasp_gym.seeds import FIRST_SEED
+from regrasp_train.command_end import ended
 from regrasp_train.configs import read_config
-from regrasp_train.errors import MismatchError, RunError, TrainError, require_extra
+from regrasp_train.errors import MismatchError, RunError, require_extra
+from regrasp_train.scenes import held_out
 from regrasp_train.threads import threads
 
 PLUGIN = "regrasp_datasets.lerobot_env"
@@ -56,7 +57,7 @@ class BcCommand:
     seed: int = 0
     """Of weights and of the order of the data."""
     resume: bool = False
-    """Go on from the last checkpoint of the run."""
+    """Go on from the last checkpoint of the run, as it was begun; only --steps and --save-every can be changed."""
 
 
 def main() -> int:
@@ -67,42 +68,30 @@ def main() -> int:
     quiet_environment()
     if shows_progress:
         del os.environ["TQDM_DISABLE"]
-    from regrasp_datasets.records import DatasetError
-    from regrasp_datasets.rollout import RolloutError
-
-    try:
-        require_extra("regrasp-train-bc", "lerobot")
-        train(command, extra)
-    except (TrainError, DatasetError, RolloutError) as error:
-        print(f"regrasp-train-bc: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"regrasp-train-bc: interrupted; go on with --run {command.run} --resume", file=sys.stderr)
-        return 130
-    return 0
+    return ended("regrasp-train-bc", lambda: train(command, extra), f"go on with --run {command.run} --resume")
 
 
-def train(command: BcCommand, extra: Sequence[str] = ()) -> None:
-    """Do what ``command`` says.
+def train(command: BcCommand, extra: Sequence[str] = ()) -> int:
+    """Do what ``command`` says; 0.
 
     Args:
         command: the options.
         extra: further arguments for LeRobot's trainer.
 
     Raises:
+        MissingExtraError: LeRobot is not installed.
         RunError: the folder of the run, or the config, cannot be used.
         MismatchError: the environment's features are not those of the dataset.
         DatasetError: there is no whole dataset.
         RolloutError: the environment cannot be made.
     """
+    require_extra("regrasp-train-bc", "lerobot")
     arguments = [*(resumed(command) if command.resume else fresh(command)), *extra]
     Console().print(f"lerobot-train {shlex.join(arguments)}", highlight=False, soft_wrap=True)
 
     import torch
-    from lerobot.configs.parser import load_plugin
     from lerobot.scripts.lerobot_train import train as lerobot_train
 
-    load_plugin(PLUGIN)
     torch.set_num_threads(threads())
     # LeRobot's trainer reads the command line again where it resumes, so that is where its arguments have to be.
     before = sys.argv
@@ -111,6 +100,7 @@ def train(command: BcCommand, extra: Sequence[str] = ()) -> None:
         lerobot_train()  # pyright: ignore[reportCallIssue]
     finally:
         sys.argv = before
+    return 0
 
 
 def fresh(command: BcCommand) -> list[str]:
@@ -119,23 +109,25 @@ def fresh(command: BcCommand) -> list[str]:
 
     if command.dataset is None:
         raise RunError("--dataset is missing: give the folder of a dataset, made by regrasp-collect")
-    if command.run.exists():
+    if saved_config(command.run).exists():
         raise RunError(f"{command.run} exists already: add --resume to go on with it, or choose another --run")
+    if command.run.exists():
+        raise RunError(f"{command.run} exists already, without a checkpoint: remove it, or choose another --run")
     records = read_episodes(command.dataset)
     config = read_config(command.config)
+    if not {"obs_type", "train"} <= set(config):
+        raise RunError(f"config {command.config!r} is not one of behaviour cloning: it has no 'obs_type' or no 'train'")
     device = command.device or best_device()
     env_id = command.env or records[0].env_id
     recorded = records[0].env_kwargs
     obs_type = config["obs_type"]
-    if env_id != records[0].env_id:
-        # The list of scenes is the other environment's.
-        recorded = {key: value for key, value in recorded.items() if key != "split"}
     inputs = check_dataset(command.dataset, env_id, recorded, obs_type)
     image_size = recorded.get("image_size", (128, 128))[0]
-    settings = merged(config["train"], config["gpu"]) if device != "cpu" else config["train"]
+    # LeRobot evaluates in the scenes from its seed on: they have to be others than those learnt from.
+    first, of_split = held_out(env_id, "val")
+    settings = merged(config["train"], config.get("gpu", {})) if device != "cpu" else config["train"]
     settings = merged(
-        # LeRobot evaluates in the scenes from its seed on: they have to be others than those learnt from.
-        {"num_workers": 0, "seed": FIRST_SEED["val"] + command.seed, "wandb": {"enable": False}},
+        {"num_workers": 0, "seed": first + command.seed, "wandb": {"enable": False}},
         settings,
         {
             "dataset": {"repo_id": f"regrasp-gym/{command.dataset.name}", "root": str(command.dataset)},
@@ -148,7 +140,7 @@ def fresh(command: BcCommand) -> list[str]:
                 "obs_type": obs_type,
                 "control_mode": recorded.get("control_mode", "joint_pos"),
                 "image_size": image_size,
-                **({"split": "val"} if "split" in recorded else {}),
+                **of_split,
             },
             "env_eval_freq": command.eval_every,
             "eval": {"n_episodes": command.eval_episodes, "batch_size": 2},
@@ -161,12 +153,17 @@ def fresh(command: BcCommand) -> list[str]:
 
 def resumed(command: BcCommand) -> list[str]:
     """Arguments for LeRobot's trainer that go on with a run."""
-    saved = command.run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
+    saved = saved_config(command.run)
     if not saved.exists():
-        raise RunError(f"{command.run} holds no checkpoint to go on from ({saved} is missing)")
+        raise RunError(f"{command.run} holds no checkpoint to go on from ({saved} is missing): begin without --resume")
     arguments = [f"--env.discover_packages_path={PLUGIN}", f"--config_path={saved}", "--resume=true"]
     chosen = {"steps": command.steps, "save_freq": command.save_every}
     return arguments + flattened({key: value for key, value in chosen.items() if value is not None})
+
+
+def saved_config(run: Path) -> Path:
+    """Where LeRobot's trainer keeps the configuration of a run, once it has a checkpoint."""
+    return run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
 
 
 def check_dataset(root: Path, env_id: str, recorded: dict[str, Any], obs_type: str) -> dict[str, Any]:
@@ -184,6 +181,8 @@ def check_dataset(root: Path, env_id: str, recorded: dict[str, Any], obs_type: s
     Raises:
         MismatchError: one of the features differs, or the dataset has no images and the policy wants some.
     """
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
     from regrasp_datasets.features import ACTION, ENVIRONMENT_STATE, IMAGE_PREFIX, STATE, features_of
     from regrasp_datasets.rollout import make_env
 
@@ -191,11 +190,10 @@ def check_dataset(root: Path, env_id: str, recorded: dict[str, Any], obs_type: s
     images = "pixels" in obs_type
     if images and not any(key.startswith(IMAGE_PREFIX) for key in table):
         raise MismatchError(f"{root} holds no images: train with --config bc-state, or collect without --no-images")
-    kwargs = {key: value for key, value in recorded.items() if key in ("control_mode", "image_size", "split")}
+    kwargs = {key: value for key, value in recorded.items() if key in ("control_mode", "image_size")}
     env = make_env(env_id, kwargs | {"obs_type": "pixels_agent_pos" if images else "state"})
     features = features_of(env)
     env.close()
-    kinds = {STATE: "STATE", ENVIRONMENT_STATE: "ENV", ACTION: "ACTION"}
     wanted = {STATE, ACTION} | ({ENVIRONMENT_STATE} if "environment_state" in obs_type else set())
     wanted |= {key for key in features if images and key.startswith(IMAGE_PREFIX)}
     for key in sorted(wanted):
@@ -206,12 +204,8 @@ def check_dataset(root: Path, env_id: str, recorded: dict[str, Any], obs_type: s
                 f"{root} does not fit {env_id}: its {key} is {describe(have)}, the environment's {describe(needs)}. "
                 "Give --env the environment it was collected in, or collect in this one."
             )
-    inputs: dict[str, Any] = {}
-    for key in sorted(wanted - {ACTION}):
-        height, *others = features[key]["shape"]
-        shape = [others[1], height, others[0]] if others else [height]
-        inputs[key] = {"type": kinds.get(key, "VISUAL"), "shape": shape}
-    return inputs
+    inputs = dataset_to_policy_features({key: features[key] for key in sorted(wanted - {ACTION})})
+    return {key: {"type": feature.type.value, "shape": list(feature.shape)} for key, feature in inputs.items()}
 
 
 def describe(feature: tuple[tuple[int, ...], list[str] | None] | None) -> str:
@@ -226,9 +220,7 @@ def best_device() -> str:
     """What torch can compute on fastest here."""
     import torch
 
-    if torch.cuda.is_available():
-        return "cuda"
-    return "mps" if torch.backends.mps.is_available() else "cpu"
+    return (torch.accelerator.current_accelerator(check_available=True) or torch.device("cpu")).type
 
 
 def merged(*tables: dict[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,11 +19,11 @@ from rich.console import Console
 from rich.table import Table
 
 from regrasp_datasets.quiet import quiet_environment
-from regrasp_datasets.rollout import RolloutError, make_env
+from regrasp_datasets.rollout import make_env
 from regrasp_gym.benchmark.trials import Record, Trial, crashes, run_trials, wilson, write_report
-from regrasp_gym.errors import EnvError
 from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
-from regrasp_train.errors import MismatchError, RunError, TrainError
+from regrasp_train.command_end import ended
+from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.progress import Progress, Reached
 from regrasp_train.scenes import held_out
 
@@ -68,14 +69,7 @@ def main() -> int:
     quiet_environment()
     # An episode is one policy step after another: threads only get in each other's way.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    try:
-        return evaluate(command)
-    except (TrainError, RolloutError, EnvError) as error:
-        print(f"regrasp-eval: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("regrasp-eval: interrupted; the same command goes on", file=sys.stderr)
-        return 130
+    return ended("regrasp-eval", lambda: evaluate(command), "the same command goes on")
 
 
 def evaluate(command: EvalCommand) -> int:
@@ -128,6 +122,7 @@ def setting_of(command: EvalCommand) -> Record:
         "env_kwargs": {**kwargs, **of_split, "obs_type": obs_type_of(command.policy), "terminate_on_success": True},
         "split": command.split,
         "device": command.device,
+        "version": version("regrasp-gym"),
     }
 
 

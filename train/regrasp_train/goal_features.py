@@ -8,17 +8,13 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+from regrasp_gym.observation import state_layout
+
 _NEAR = 10.0
 """Distances of 10 cm become 1."""
 
-# Entries of `observation` after the joints' (see `regrasp_gym.observation.state_layout`), and what they are times by.
-_REST = (
-    ("finger coordinate", 1, 25.0),
-    ("finger rate", 1, 5.0),
-    ("gripper pose", 7, 1.0),
-    ("target velocity", 6, 1.0),
-    ("target half extents", 3, 10.0),
-)
+_FACTORS = {"joint velocities": 0.3, "finger coordinate": 25.0, "finger rate": 5.0, "target half extents": 10.0}
+"""What parts of `observation` are times by; the others are near 1 as they are."""
 
 
 class GoalFeatures(BaseFeaturesExtractor):
@@ -31,17 +27,19 @@ class GoalFeatures(BaseFeaturesExtractor):
         joints: of the arm.
     """
 
-    def __init__(self, observation_space: spaces.Dict, joints: int = 7) -> None:
+    def __init__(self, observation_space: spaces.Dict, joints: int) -> None:
         shapes = {key: space.shape for key, space in observation_space.spaces.items()}
         size, goal = (int(np.prod(shapes[key] or (0,))) for key in ("observation", "achieved_goal"))
         super().__init__(observation_space, size + 2 * goal + 6)
-        scale = [1.0] * joints + [0.3] * joints
-        for _, count, factor in _REST:
-            scale += [factor] * count
+        scale: list[float] = []
+        starts: dict[str, int] = {}
+        for name, count in state_layout(joints, 0):
+            starts[name] = len(scale)
+            scale += [_FACTORS.get(name, 1.0)] * count
         scale += [1.0] * (size - len(scale))
         self.scale: torch.Tensor
         self.register_buffer("scale", torch.tensor(scale))
-        self.gripper = 2 * joints + 2 + 4
+        self.gripper = starts["gripper pose"] + 4
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """(batch, features) of a batch of observations."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from regrasp_gym.benchmark.trials import wilson
+from regrasp_gym.benchmark.plots import COLOURS, draw
+from regrasp_gym.benchmark.trials import read_records, wilson
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -38,10 +42,7 @@ def append_point(path: Path, point: CurvePoint) -> None:
 
 def read_points(path: Path, last_step: int | None = None) -> list[CurvePoint]:
     """Evaluations in a file, up to ``last_step``; none if there is no file. Half-written lines are left out."""
-    points: list[CurvePoint] = []
-    for line in path.read_text().splitlines() if path.exists() else []:
-        with contextlib.suppress(json.JSONDecodeError, TypeError):
-            points.append(CurvePoint(**json.loads(line)))
+    points = [CurvePoint(**record) for record in read_records(path)]
     return [point for point in points if last_step is None or point.steps <= last_step]
 
 
@@ -66,27 +67,26 @@ def curve_report(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:
     ]
 
 
-def plot_curves(curves: Mapping[str, Sequence[CurvePoint]], path: Path, title: str) -> None:
-    """Draw learning curves, with their 95 % intervals, over environment steps.
+def plot_curves(curves: Mapping[str, Sequence[CurvePoint]], path: Path | None, title: str) -> None:
+    """Draw learning curves, with their 95 % intervals, over environment steps; nothing if there is no file.
 
     Args:
         curves: evaluations by the learner's name.
         path: picture to write; its ending says of what kind.
         title: of the picture.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    for name, points in curves.items():
-        steps = [point.steps for point in points]
-        low, high = zip(*(wilson(point.successes, point.episodes) for point in points), strict=True)
-        (line,) = axes.plot(steps, [100 * point.successes / max(point.episodes, 1) for point in points], label=name)
-        axes.fill_between(steps, [100 * x for x in low], [100 * x for x in high], color=line.get_color(), alpha=0.15)
-    axes.set(xlabel="environment steps", ylabel="success (%)", ylim=(-2, 102), title=title)
-    axes.grid(alpha=0.3)
-    axes.legend()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
+    Raises:
+        BenchError: another ending, or matplotlib is not installed.
+    """
+
+    def paint(axes: Axes) -> None:
+        for colour, (name, points) in zip(cycle(COLOURS), curves.items(), strict=False):
+            steps = [point.steps for point in points]
+            low, high = zip(*(wilson(point.successes, point.episodes) for point in points), strict=True)
+            shares = [100 * point.successes / max(point.episodes, 1) for point in points]
+            axes.plot(steps, shares, label=name, color=colour)
+            axes.fill_between(steps, [100 * x for x in low], [100 * x for x in high], color=colour, alpha=0.15)
+        axes.set(xlabel="environment steps", ylabel="success (%)", ylim=(-2, 102), title=title)
+        axes.legend()
+
+    draw(path, paint)

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import sys
 import warnings
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import tyro
 from rich.console import Console
 
 from regrasp_datasets.quiet import quiet_environment
+from regrasp_train.command_end import ended
 from regrasp_train.configs import read_config
-from regrasp_train.errors import RunError, TrainError, require_extra
+from regrasp_train.errors import RunError, require_extra
+from regrasp_train.run_folder import (
+    BUFFER,
+    CURVE_FILE,
+    MODEL,
+    PROGRESS,
+    check_new,
+    held,
+    last_checkpoint,
+    read_run,
+    write_run,
+)
 from regrasp_train.threads import threads
 
 if TYPE_CHECKING:
@@ -51,21 +63,22 @@ class RlCommand:
     steps: int | None = None
     """Environment steps, instead of the config's."""
     minutes: float | None = None
-    """Stop after this time, those of a resumed run before included."""
+    """Stop after this time, that of a resumed run before included."""
     envs: int | None = None
     """Environments side by side, instead of the config's."""
-    save_every: int = 20_000
-    """Steps between checkpoints."""
-    eval_every: int = 10_000
-    """Steps between evaluations."""
-    eval_episodes: int = 20
-    """Episodes of each evaluation, on validation scenes."""
+    save_every: int | None = None
+    """Steps between checkpoints; 20,000 by default."""
+    eval_every: int | None = None
+    """Steps between evaluations; 10,000 by default."""
+    eval_episodes: int | None = None
+    """Episodes of each evaluation, on validation scenes; 20 by default."""
     seed: int = 0
     """Of weights, exploration and scenes."""
     device: str = "auto"
     """cpu, cuda or mps; what is there by default."""
     resume: bool = False
-    """Go on from the last checkpoint of the run."""
+    """Go on from the last checkpoint of the run. What it learns and how stays as it was; steps, minutes and the three
+    options above can be changed."""
     progress: bool = True
     """Whether to show a progress bar."""
     json: Path | None = None
@@ -80,94 +93,79 @@ def main() -> int:
     """Entry point of ``regrasp-train-rl``: 0 if done, 2 for wrong use, 130 for Ctrl-C."""
     command = tyro.cli(RlCommand, prog="regrasp-train-rl", description=RlCommand.__doc__)
     quiet_environment()
-    from regrasp_datasets.records import DatasetError
-    from regrasp_datasets.rollout import RolloutError
-
-    try:
-        require_extra("regrasp-train-rl", "rl")
-        if command.demos is not None:
-            require_extra("regrasp-train-rl --demos", "lerobot")
-        train(command)
-    except (TrainError, DatasetError, RolloutError) as error:
-        print(f"regrasp-train-rl: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"regrasp-train-rl: interrupted; go on with --run {command.run} --resume", file=sys.stderr)
-        return 130
-    return 0
+    return ended("regrasp-train-rl", lambda: train(command), f"go on with --run {command.run} --resume")
 
 
-def train(command: RlCommand) -> None:
-    """Do what ``command`` says.
+def train(command: RlCommand) -> int:
+    """Do what ``command`` says; 0.
 
     Raises:
-        RunError: the folder of the run, or the config, cannot be used.
+        MissingExtraError: Stable-Baselines3, or what reads demonstrations, is not installed.
+        RunError: the folder of the run, of one to compare with, or the config, cannot be used.
         MismatchError: the demonstrations are of another environment.
         RolloutError: the environment cannot be made.
+        BenchError: the picture's name does not say of what kind it is.
     """
+    require_extra("regrasp-train-rl", "rl")
+    if command.demos is not None:
+        require_extra("regrasp-train-rl --demos", "lerobot")
     import torch
     from stable_baselines3.common.callbacks import CallbackList, EvalCallback
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from regrasp_train.checkpoints import CURVE_FILE, Checkpoints, Clock, CurvePoints, last_checkpoint
+    from regrasp_train.checkpoints import Checkpoints, CurvePoints
     from regrasp_train.rl_envs import make_judging_env
 
     torch.set_num_threads(threads())
+    check_report(command)
     settings = told_before(command) if command.resume else begin(command)
-    lock = locked(command.run, settings) if command.resume else None
-    clock = Clock()
-    envs = learning_envs(settings)
-    # A single environment is quickest to judge in, however many there are to learn in.
-    warnings.filterwarnings("ignore", "Training and eval env are not of the same type")
-    judging = DummyVecEnv([partial(make_judging_env, settings["env"], settings["env_kwargs"], command.eval_episodes)])
-    try:
-        if command.resume:
-            model, clock = restored(last_checkpoint(command.run), settings, envs, command)
-        else:
-            model = new_model(settings, envs, command)
-            lock = locked(command.run, settings)
-        checkpoints = Checkpoints(
-            command.run / "checkpoints",
-            command.save_every,
-            clock,
-            None if command.minutes is None else 60 * command.minutes,
-        )
-        evaluation = EvalCallback(
-            judging,
-            callback_after_eval=CurvePoints(command.run / CURVE_FILE, clock),
-            n_eval_episodes=command.eval_episodes,
-            eval_freq=max(command.eval_every // envs.num_envs, 1),
-            log_path=str(command.run / "evaluations"),
-            best_model_save_path=str(command.run / "best"),
-            verbose=0,
-        )
-        total = command.steps or settings["n_timesteps"]
-        told = f"{settings['algo'].upper()} in {settings['env']}, {total} steps; tensorboard --logdir {command.run}"
-        Console().print(told, highlight=False, soft_wrap=True)
-        if model.num_timesteps < total:
-            model.learn(
-                total - model.num_timesteps,
-                callback=CallbackList([evaluation, checkpoints]),
-                reset_num_timesteps=False,
-                tb_log_name="tensorboard",
-                progress_bar=command.progress,
+    with held(command.run):
+        write_run(command.run, settings)
+        envs = learning_envs(settings)
+        # A single environment is quickest to judge in, however many there are to learn in.
+        warnings.filterwarnings("ignore", "Training and eval env are not of the same type")
+        episodes = settings["eval_episodes"]
+        judging = DummyVecEnv([partial(make_judging_env, settings["env"], settings["env_kwargs"], episodes)])
+        try:
+            model, clock, best = (restored if command.resume else new_model)(settings, envs, command)
+            evaluation = EvalCallback(
+                judging,
+                callback_after_eval=CurvePoints(command.run / CURVE_FILE, clock),
+                n_eval_episodes=episodes,
+                eval_freq=max(settings["eval_every"] // envs.num_envs, 1),
+                log_path=str(command.run / "evaluations"),  # successes are counted only with one
+                best_model_save_path=str(command.run / "best"),
+                verbose=0,
             )
-        model.save(command.run / "model.zip")
-    finally:
-        envs.close()
-        judging.close()
-        if lock is not None:
-            lock.close()
+            evaluation.best_mean_reward = best
+            budget = None if settings["minutes"] is None else 60 * settings["minutes"]
+            checkpoints = Checkpoints(command.run, settings["save_every"], clock, evaluation, budget)
+            total = settings["n_timesteps"]
+            told = f"{settings['algo'].upper()} in {settings['env']}, {total} steps; tensorboard --logdir {command.run}"
+            Console().print(told, highlight=False, soft_wrap=True)
+            if model.num_timesteps < total:
+                model.learn(
+                    total - model.num_timesteps,
+                    callback=CallbackList([evaluation, checkpoints]),
+                    reset_num_timesteps=False,
+                    tb_log_name="tensorboard",
+                    progress_bar=command.progress,
+                )
+            model.save(command.run / "model.zip")
+        finally:
+            envs.close()
+            judging.close()
     report(command, clock)
+    return 0
 
 
 def begin(command: RlCommand) -> dict[str, Any]:
     """Settings of a new run, once it is sure that it can begin."""
+    from regrasp_datasets.features import base_env
     from regrasp_datasets.rollout import make_env
     from regrasp_train.demonstrations import check_demonstrations
 
-    if command.run.exists():
-        raise RunError(f"{command.run} exists already: add --resume to go on with it, or choose another --run")
+    check_new(command.run)
     if command.demos is not None and command.algo != "sac":
         raise RunError(f"--demos needs a replay buffer, which --algo {command.algo} has not: use --algo sac")
     by_env = read_config(command.config or command.algo)
@@ -175,15 +173,25 @@ def begin(command: RlCommand) -> dict[str, Any]:
     if config is None:
         raise RunError(f"the config has no hyper-parameters for {command.env}, and no default ones")
     env_kwargs = config.get("env_kwargs", {})
-    make_env(command.env, {**env_kwargs, "obs_type": "state"}).close()
+    env = make_env(command.env, {**env_kwargs, "obs_type": "state"})
+    joints = len(base_env(env).scenario.robot.arm_joints)
+    env.close()
+    assert env.spec is not None, "an environment made by its id has a specification"
     if command.demos is not None:
         check_demonstrations(command.demos, command.env, env_kwargs.get("control_mode", "joint_pos"))
     return {
         "algo": command.algo,
         "env": command.env,
         "env_kwargs": env_kwargs,
+        "joints": joints,
+        "episode_steps": env.spec.max_episode_steps,
         "n_envs": command.envs or config.get("n_envs", 1),
         "n_timesteps": int(float(config.get("n_timesteps", 1e6))),
+        "minutes": None,
+        "save_every": 20_000,
+        "eval_every": 10_000,
+        "eval_episodes": 20,
+        **changed(command),
         "demos": None if command.demos is None else str(command.demos),
         "demo_share": config.get("demo_share", 0.5),
         "seed": command.seed,
@@ -193,30 +201,20 @@ def begin(command: RlCommand) -> dict[str, Any]:
 
 def told_before(command: RlCommand) -> dict[str, Any]:
     """Settings of a run that is to go on."""
-    from regrasp_train.checkpoints import last_checkpoint, read_run
-
     last_checkpoint(command.run)
-    return read_run(command.run)
+    return {**read_run(command.run), **changed(command)}
 
 
-def locked(run: Path, settings: dict[str, Any]) -> IO[str]:
-    """Make the folder of a run if need be, and hold it until the file returned is closed.
-
-    Raises:
-        RunError: another process holds it.
-    """
-    from regrasp_train.checkpoints import RUN_FILE
-
-    run.mkdir(parents=True, exist_ok=True)
-    lock = (run / "lock").open("w")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        lock.close()
-        raise RunError(f"another regrasp-train-rl is at work in {run}") from error
-    if not (run / RUN_FILE).exists():
-        (run / RUN_FILE).write_text(json.dumps(settings, indent=2) + "\n")
-    return lock
+def changed(command: RlCommand) -> dict[str, Any]:
+    """Settings that the command line gives, and that a resumption may give anew."""
+    given = {
+        "n_timesteps": command.steps,
+        "minutes": command.minutes,
+        "save_every": command.save_every,
+        "eval_every": command.eval_every,
+        "eval_episodes": command.eval_episodes,
+    }
+    return {key: value for key, value in given.items() if value is not None}
 
 
 def learning_envs(settings: dict[str, Any]) -> VecEnv:
@@ -230,19 +228,36 @@ def learning_envs(settings: dict[str, Any]) -> VecEnv:
     return VecMonitor(envs, info_keywords=("is_success",))
 
 
-def new_model(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> BaseAlgorithm:
-    """An untrained model, its replay buffer filled with demonstrations if there are any."""
-    from stable_baselines3 import PPO, SAC
+def new_model(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> tuple[BaseAlgorithm, Clock, float]:
+    """An untrained model, with demonstrations if there are any; a new clock; the best return so far."""
+    from stable_baselines3 import PPO
+
+    from regrasp_train.checkpoints import Clock
+    from regrasp_train.goal_features import GoalFeatures
+
+    clock = Clock()
+    options = dict(settings["hyperparameters"])
+    options["policy_kwargs"] = {
+        "features_extractor_class": GoalFeatures,
+        "features_extractor_kwargs": {"joints": settings["joints"]},
+        **options.get("policy_kwargs", {}),
+    }
+    options |= {"seed": settings["seed"], "device": command.device, "tensorboard_log": str(command.run)}
+    made = PPO(env=envs, **options) if settings["algo"] == "ppo" else new_sac(settings, envs, options)
+    return made, clock, -np.inf
+
+
+def new_sac(settings: dict[str, Any], envs: VecEnv, options: dict[str, Any]) -> BaseAlgorithm:
+    """An untrained model that learns from its replay buffer."""
+    from stable_baselines3 import SAC
 
     from regrasp_train.demonstrations import DemonstrationReplayBuffer
-    from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
+    from regrasp_train.goal_features import NormalizedReLU
 
-    options = dict(settings["hyperparameters"])
-    options["policy_kwargs"] = {"features_extractor_class": GoalFeatures, **options.get("policy_kwargs", {})}
-    options |= {"seed": settings["seed"], "device": command.device, "tensorboard_log": str(command.run)}
-    if settings["algo"] == "ppo":
-        return PPO(env=envs, **options)
     options["policy_kwargs"] = {"activation_fn": NormalizedReLU, **options["policy_kwargs"]}
+    # Goals are relabelled with what an episode came to: one has to be over in each environment.
+    first = settings["n_envs"] * (settings["episode_steps"] + 1)
+    options["learning_starts"] = max(options.get("learning_starts", 0), first)
     buffer = {**options.pop("replay_buffer_kwargs", {}), "demo_share": settings["demo_share"]}
     model = SAC(env=envs, replay_buffer_class=DemonstrationReplayBuffer, replay_buffer_kwargs=buffer, **options)
     if settings["demos"] is not None:
@@ -265,32 +280,49 @@ def fill(model: Any, settings: dict[str, Any], envs: VecEnv) -> None:
     Console().print(f"{len(episodes)} demonstrations succeed again: {frames} transitions in the replay buffer")
 
 
-def restored(
-    checkpoint: Path, settings: dict[str, Any], envs: VecEnv, command: RlCommand
-) -> tuple[BaseAlgorithm, Clock]:
-    """The model of a checkpoint with its replay buffer, and the clock as it stood."""
+def restored(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> tuple[BaseAlgorithm, Clock, float]:
+    """The model of the last checkpoint with its replay buffer, the clock as it stood, and the best return till then."""
     from stable_baselines3 import PPO, SAC
 
-    from regrasp_train.checkpoints import BUFFER, CURVE_FILE, MODEL, PROGRESS, Clock
+    from regrasp_train.checkpoints import Clock
     from regrasp_train.learning_curve import read_points, rewrite_points
 
+    checkpoint = last_checkpoint(command.run)
     made = {"sac": SAC, "ppo": PPO}[settings["algo"]]
     model = made.load(checkpoint / MODEL, env=envs, device=command.device, tensorboard_log=str(command.run))
     if isinstance(model, SAC):
         # Its last episode was not finished: that is what happens to a run that stops.
         warnings.filterwarnings("ignore", "(?s).*last trajectory in the replay buffer")
         model.load_replay_buffer(checkpoint / BUFFER)
+        demos = getattr(model.replay_buffer, "demos", None)
+        if demos is not None:
+            demos.device = model.device
     progress = json.loads((checkpoint / PROGRESS).read_text())
+    # The model's own seed would draw the scenes and the noise of the run's beginning again.
+    model.set_random_seed(settings["seed"] + progress["steps"])
     curve = command.run / CURVE_FILE
     rewrite_points(curve, read_points(curve, progress["steps"]))
     Console().print(f"Going on from step {progress['steps']}", highlight=False)
-    return model, Clock(progress["seconds"])
+    return model, Clock(progress["seconds"]), -np.inf if progress["best"] is None else progress["best"]
+
+
+def check_report(command: RlCommand) -> None:
+    """Raise `RunError` or `BenchError` if the learning curve could not be reported as asked for at the end."""
+    from regrasp_gym.benchmark.plots import check_format
+
+    check_format(command.plot)
+    names = [command.run.name]
+    for run in command.compare:
+        if not (run / CURVE_FILE).exists():
+            raise RunError(f"--compare {run} has no learning curve: give the folder of a run of regrasp-train-rl")
+        if run.name in names:
+            raise RunError(f"--compare {run}: another run is called {run.name}, too; rename its folder")
+        names.append(run.name)
 
 
 def report(command: RlCommand, clock: Clock) -> None:
     """Say how well it went, and write the learning curve where it was asked for."""
     from regrasp_gym.benchmark.trials import write_report
-    from regrasp_train.checkpoints import CURVE_FILE, read_run
     from regrasp_train.learning_curve import curve_report, plot_curves, read_points
 
     curves = {run.name: read_points(run / CURVE_FILE) for run in (command.run, *command.compare)}
@@ -306,7 +338,7 @@ def report(command: RlCommand, clock: Clock) -> None:
     }
     packages = ("regrasp-gym", "mujoco", "gymnasium", "stable-baselines3", "torch", "numpy")
     write_report(command.json, summary, packages)
-    if command.plot is not None and curves:
+    if curves:
         plot_curves(curves, command.plot, read_run(command.run)["env"])
 
 
