@@ -264,6 +264,17 @@ def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float, s
         spec.worldbody.add_camera(name=camera.name, pos=camera.position, xyaxes=camera.axes(), fovy=camera.fovy)
 
 
+_LEFT_OPEN: list[tuple[Any, mujoco.MjrContext | None]] = []
+"""What renderers that were dropped without `SceneRenderer.close` have left; the next picture frees it."""
+
+
+def _free(gl: Any, context: mujoco.MjrContext | None) -> None:
+    gl.make_current()
+    if context is not None:
+        context.free()
+    gl.free()
+
+
 class SceneRenderer:
     """Pictures of one model after another, with one OpenGL context.
 
@@ -302,6 +313,8 @@ class SceneRenderer:
             DisplayError: no OpenGL here.
             KeyError: there is no such camera; the message lists those there are.
         """
+        while _LEFT_OPEN:
+            _free(*_LEFT_OPEN.pop())
         if self._gl is None:
             self._gl = _open_gl(self.width, self.height)
         self._gl.make_current()
@@ -320,30 +333,25 @@ class SceneRenderer:
         return np.ascontiguousarray(picture[::-1])
 
     def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing) -> None:
-        # Left to itself MuJoCo frees the memory in whichever context is current, which may be another one's.
-        if not is_finalizing():
-            self.close()
+        # Left to itself MuJoCo frees the memory in whichever context is current, which may be another one's; and the
+        # collector runs at any time, even while another one draws.
+        if self._gl is not None and not is_finalizing():
+            _LEFT_OPEN.append((self._gl, self._context))
 
     def close(self) -> None:
         """Free everything. Rendering again opens it again."""
         if self._gl is not None:
-            self._gl.make_current()
-            self._drop()
-            self._gl.free()
-            self._gl = None
+            _free(self._gl, self._context)
+            self._gl = self._context = self._scene = self._model = None
 
     def _upload(self, model: mujoco.MjModel) -> None:
-        self._drop()
+        if self._context is not None:
+            self._context.free()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         mujoco.mjr_resizeOffscreen(self.width, self.height, self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
         self._model = model
-
-    def _drop(self) -> None:
-        if self._context is not None:
-            self._context.free()
-        self._context = self._scene = self._model = None
 
 
 class Window:

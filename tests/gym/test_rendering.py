@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import time
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 import pytest
 
@@ -104,6 +106,23 @@ def test_the_wrist_camera_sees_the_fingers(renderer, worlds):
     world.run(closed, closed, 200)
     assert (np.abs(picture(renderer, world, "wrist").astype(int) - open_fingers).max(axis=2) > 20).mean() > 0.03
     world.set_state(saved)
+
+
+def test_a_renderer_may_be_collected_while_another_one_draws(renderer, worlds, monkeypatch):
+    expected = picture(renderer, worlds[0])
+    doomed = [SceneRenderer(128, 128)]
+    picture(doomed[0], worlds[1])
+    draw = mujoco.mjr_render
+
+    def drop_and_draw(*arguments):
+        doomed.clear()
+        gc.collect()
+        draw(*arguments)
+
+    monkeypatch.setattr(mujoco, "mjr_render", drop_and_draw)
+    np.testing.assert_array_equal(picture(renderer, worlds[0]), expected)
+    assert not doomed
+    np.testing.assert_array_equal(picture(renderer, worlds[0]), expected)
 
 
 def test_a_new_model_takes_no_context_of_its_own(renderer, worlds):
