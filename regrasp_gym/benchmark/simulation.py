@@ -1,4 +1,4 @@
-"""What an environment takes to make a scene, reset, take a step and draw, per call."""
+"""What an environment takes to make a scene, reset, take a step and draw; and how still a scene lies."""
 
 from __future__ import annotations
 
@@ -11,17 +11,22 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 import tyro
+from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
 
 from regrasp_gym.benchmark.trials import Record, crashes, run_trials, write_report
+from regrasp_gym.envs.world import World
 from regrasp_gym.rendering import SceneRenderer
 
 OBSERVED = 128
 """Edge of an observed picture, pixels."""
 
 STEPS = 50
-"""Steps timed in each scene, of each kind."""
+"""Random actions in each scene."""
+
+STILL = 3.0
+"""How long the robot stands still, seconds."""
 
 
 def simulation(
@@ -34,6 +39,8 @@ def simulation(
 ) -> None:
     """Time making a scene, resetting into it, steps at rest and under random actions, and drawing it.
 
+    Also, how far the object that moves most gets from where it starts while the robot stands still.
+
     Args:
         env: id of the environment.
         scenes: how many.
@@ -42,7 +49,7 @@ def simulation(
         records: one JSON line per scene, appended as they end.
         json_file: write the summary as JSON.
     """
-    setting: Record = {"env": env, "steps": STEPS, "version": version("regrasp-gym")}
+    setting: Record = {"env": env, "steps": STEPS, "still": STILL, "version": version("regrasp-gym")}
     seeds = range(first_seed, first_seed + scenes)
     ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="scenes")
     report = summarise(setting, ended)
@@ -58,11 +65,16 @@ def summarise(setting: Record, scenes: list[Record]) -> Record:
         for name in (timed[0] if timed else ())
         for values in [[seconds[name] for seconds in timed]]
     }
-    return {**setting, "scenes": len(timed), "seconds": figures, "crashed": crashes(scenes)}
+    drift = max((scene["drift"] for scene in scenes if "drift" in scene), default=0.0)
+    return {**setting, "scenes": len(timed), "seconds": figures, "drift_max": drift, "crashed": crashes(scenes)}
+
+
+def _places(world: World) -> Float[np.ndarray, "K 3"]:
+    return np.vstack([world.target_pose, world.other_poses])[:, 4:]
 
 
 def _prepare(setting: Record) -> Callable[[int], Record]:
-    made: Any = gymnasium.make(setting["env"], render_mode="rgb_array", max_episode_steps=2 * STEPS + 1)
+    made: Any = gymnasium.make(setting["env"], render_mode="rgb_array", max_episode_steps=10**6)
     scenario, config = made.unwrapped.scenario, made.unwrapped.scene_config
     renderer = SceneRenderer(OBSERVED, OBSERVED)
 
@@ -84,9 +96,12 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
         observe()
         seconds[f"observed picture, {OBSERVED} × {OBSERVED}"] = _seconds(observe, 5)
         at_rest = made.unwrapped.action_toward(made.unwrapped.command)
-        seconds["step at rest"] = _seconds(lambda: made.step(at_rest), STEPS)
+        start = _places(made.unwrapped.world)
+        steps = round(STILL / scenario.control_period)
+        seconds["step at rest"] = _seconds(lambda: made.step(at_rest), steps)
+        drift = float(np.linalg.norm(_places(made.unwrapped.world) - start, axis=1).max())
         seconds["step, random action"] = _seconds(lambda: made.step(made.action_space.sample()), STEPS)
-        return {"seconds": seconds}
+        return {"seconds": seconds, "drift": drift}
 
     return run
 
@@ -105,5 +120,7 @@ def _show(report: Record) -> None:
         table.add_row(name, f"{1e3 * row['median']:.2f}", f"{1e3 * row['p90']:.2f}")
     console = Console()
     console.print(table)
+    drift = 1e3 * report["drift_max"]
+    console.print(f"farthest that an object moves in {STILL:g} s at rest: {drift:.3f} mm", highlight=False)
     for error, seeds in report["crashed"].items():
         console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)

@@ -62,6 +62,7 @@ def test_the_benchmark_of_the_simulation(facts: Facts, tmp_path: Path, capsys: p
     seconds = {name: row["median"] for name, row in report["seconds"].items()}
     assert 0 < seconds["scene"] < seconds["reset, scene included"]
     assert 0 < seconds["observed picture, 128 × 128"] < seconds["frame, 640 × 480"]
+    assert report["drift_max"] < 1e-3
     assert "step, random action" in capsys.readouterr().out
 
 
