@@ -28,10 +28,9 @@ from regrasp_planner import (
 )
 from regrasp_planner.arm_kinematics import reach
 from regrasp_planner.ik_solve import POSITION_TOLERANCE, ROTATION_TOLERANCE
-from regrasp_planner.path_plan import plan_path
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.robot import forward_kinematics
-from regrasp_planner.stage_motion import Ends, flipped
+from regrasp_planner.stage_motion import Ends, flipped, no_path
 from regrasp_planner.stage_search import StageSearch, furthest
 from regrasp_planner.task_check import check_task
 
@@ -141,12 +140,9 @@ def _stage(stages: StageSearch, grasp: Grasp, ends: Ends) -> Stage | Failure:
         return reaches.failure
     empty = stages.surroundings.empty_handed(task.pick.target_pose)
     start, closed = np.asarray(task.start), float(stages.robot.gripper.lower)
-    path = stages.options.motion.path
-    transit = stages.clock.time(
-        "path_plan", lambda: plan_path(empty, start, way.inward.start, grasp.opening, path, stages.seed)
-    )
+    transit = stages.motion.path(empty, start, way.inward.start, grasp.opening)
     if transit.trajectory is None:
-        return Failure(Reason.NO_PATH, _KIND, f"{SegmentKind.TRANSIT}: {transit.status.value}", transit.message)
+        return no_path(_KIND, SegmentKind.TRANSIT, transit)
     segments = (
         Segment(SegmentKind.TRANSIT, transit.trajectory, grasp.opening, holding=False),
         Segment(SegmentKind.APPROACH, way.inward, grasp.opening, holding=False),

@@ -263,11 +263,11 @@ class StageMotion:
                 opening, *others = others
                 off = self._line(empty, q, back, opening)
             if not isinstance(off, Trajectory):
-                yield _no_path(kind, names[0], off)
+                yield no_path(kind, names[0], off)
                 continue
             up = self._line(holding, q, raises, grasp.theta)
             if not isinstance(up, Trajectory):
-                yield _no_path(kind, names[1], up)
+                yield no_path(kind, names[1], up)
                 continue
             yield off, up, opening
 
@@ -298,13 +298,13 @@ class StageMotion:
         closed = float(self.surroundings.robot.gripper.lower)
         pairs = ((take, put) for take in takes for put in puts)
         for take, put in islice(pairs, self.options.joins):
-            transfer = self._path(holding, take.outward.goal, put.inward.start, grasp.theta)
+            transfer = self.path(holding, take.outward.goal, put.inward.start, grasp.theta)
             if transfer.trajectory is None:
-                last = _no_path(kind, SegmentKind.TRANSFER, transfer)
+                last = no_path(kind, SegmentKind.TRANSFER, transfer)
                 continue
-            transit = self._path(empty, configuration, take.inward.start, grasp.opening)
+            transit = self.path(empty, configuration, take.inward.start, grasp.opening)
             if transit.trajectory is None:
-                last = _no_path(kind, SegmentKind.TRANSIT, transit)
+                last = no_path(kind, SegmentKind.TRANSIT, transit)
                 continue
             segments = (
                 Segment(SegmentKind.TRANSIT, transit.trajectory, grasp.opening, holding=False),
@@ -354,9 +354,10 @@ class StageMotion:
         assert result is not None
         return result
 
-    def _path(
+    def path(
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
+        """A path between two configurations at finger coordinate ``theta``, its time taken down."""
         return self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, self.options.path, self.seed))
 
 
@@ -364,6 +365,7 @@ def _unreachable(kind: StageKind, ends: Ends) -> Failure:
     return Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration of the arm at the grasp")
 
 
-def _no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:
+def no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:
+    """Why a segment has no path: the bodies in the way, if any."""
     bodies = " – ".join(result.bodies) if result.bodies else result.status.value
     return Failure(Reason.NO_PATH, stage, f"{segment}: {bodies}", result.message)

@@ -101,7 +101,7 @@ class StageSearch:
         """A search for grasps that are feasible in all the scenes and that the arm reaches there, obstacles aside."""
 
         def reachable(grippers: Float[np.ndarray, "K 7"]) -> Int[np.ndarray, " K"]:
-            grades = np.full(len(grippers), len(Reachability))
+            grades = np.full(len(grippers), int(Reachability.FREE))
             for scene in scenes:
                 left = np.flatnonzero(grades)
                 grades[left] = np.minimum(grades[left], self.looked(scene.target_pose, grippers[left]))

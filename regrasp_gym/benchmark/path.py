@@ -128,7 +128,7 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
         made.reset(seed=seed)
         task, robot = inner.task(), inner.planner_robot
         rng = np.random.default_rng(seed)
-        queries, lines = asked(task, robot, setting["strategy"])
+        queries, lines = asked(inner, setting["strategy"])
         queries += random_queries(task, robot, setting["random_pairs"], rng)
         limit = setting["time_limit"]
         return {

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from regrasp_gym.benchmark.exact import ExactChecker
 
 if TYPE_CHECKING:
+    from regrasp_gym.envs.base import RegraspEnv
     from regrasp_planner import Robot, Task, Trajectory
     from regrasp_planner.collision import CollisionModel
     from regrasp_planner.path_plan import PathOptions, PathResult
@@ -56,12 +57,10 @@ class Line:
     trajectory: Trajectory
 
 
-def asked(task: Task, robot: Robot, strategy: str) -> tuple[list[Query], list[Line]]:
-    """All path queries of one call of `plan`, answered or not, and all straight lines that it found."""
-    from regrasp_planner import plan
-
+def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
+    """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
     with _listening() as heard:
-        plan(task, robot, strategy)
+        env.plan(strategy)
     return heard
 
 

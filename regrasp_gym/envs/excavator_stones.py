@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -201,10 +200,9 @@ class ExcavatorStonesEnv(RegraspEnv):
         """
         from regrasp_planner import GraspGenOptions, PlanOptions
 
-        starts = GraspGenOptions(lean=0.25, max_axes=24, screened=48)
         return PlanOptions(
-            grasp=replace(starts, max_axes=32, angles=24, deep=0.5, screened=96, refined=16, budget=300),
-            regrasp=replace(starts, budget=800),
+            grasp=GraspGenOptions(lean=0.25, max_axes=32, angles=24, deep=0.5, screened=96, refined=16, budget=300),
+            regrasp=GraspGenOptions(lean=0.25, max_axes=24, screened=48, budget=800),
             motion_attempts=16,
             grasps_kept=6,
             spots=((0.0, 0.0), (-0.9, 0.0), (0.9, 0.0)),
