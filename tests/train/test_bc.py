@@ -158,21 +158,30 @@ def test_stock_lerobot_evaluates_in_a_batch(trained, tmp_path):
     assert info["overall"]["n_episodes"] == 2
 
 
-@pytest.mark.slow
-def test_stock_lerobot_trains_and_evaluates_from_images(tmp_path):
-    """``lerobot-train`` and ``lerobot-eval`` with images, and our commands on the same dataset."""
-    dataset = collected(tmp_path / "dataset", episodes=1, images=True, image_size=64)
-    run = tmp_path / "stock"
+def stock_training(dataset, run, obs_type):
+    """``lerobot-train`` itself, with an evaluation, in a process of its own."""
     arguments = [f"--dataset.repo_id=local/{dataset.name}", f"--dataset.root={dataset}", f"--output_dir={run}"]
     arguments += ["--policy.type=act", "--policy.device=cpu", "--policy.push_to_hub=false", "--policy.chunk_size=8"]
     arguments += ["--policy.n_action_steps=8", "--policy.pretrained_backbone_weights=null", "--wandb.enable=false"]
     arguments += ["--steps=2", "--batch_size=2", "--env_eval_freq=2", "--eval.n_episodes=2", "--eval.batch_size=2"]
     arguments += [PLUGIN, "--env.type=regrasp", "--env.task=PandaYCBLift-v0", "--env.control_mode=ee_delta"]
-    arguments += ["--env.obs_type=pixels_environment_state_agent_pos", "--env.image_size=64", "--env.episode_length=4"]
+    arguments += [f"--env.obs_type={obs_type}", "--env.image_size=64", "--env.episode_length=4"]
     arguments += ["--eval.use_async_envs=false", *SMALL]
     command = [sys.executable, "-m", "lerobot.scripts.lerobot_train", *arguments]
     subprocess.run(command, check=True, env=OFFLINE, timeout=240)
     assert (policy_of(run) / "model.safetensors").exists()
+
+
+@pytest.mark.slow
+def test_stock_lerobot_trains_from_vectors(lifts, tmp_path):
+    stock_training(lifts, tmp_path / "stock", "environment_state_agent_pos")
+
+
+@pytest.mark.slow
+def test_stock_lerobot_trains_from_images(tmp_path):
+    """And so do our commands on the same dataset."""
+    dataset = collected(tmp_path / "dataset", episodes=1, images=True, image_size=64)
+    stock_training(dataset, tmp_path / "stock", "pixels_environment_state_agent_pos")
 
     ours = tmp_path / "ours"
     train(BcCommand(ours, dataset, config="bc-images", steps=2, batch_size=2, device="cpu"), SMALL)

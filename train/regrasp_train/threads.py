@@ -8,7 +8,7 @@ import os
 def threads() -> int:
     """As many as OMP_NUM_THREADS says, else one.
 
-    The networks here are small, and threads wait for one another: where another process takes a core (environments,
-    loading of data), two threads have been seen to take forty times as long as one.
+    The networks here are small, and threads wait for one another: the longer, the more other processes (environments,
+    loading of data) want the same cores.
     """
     return int(os.environ.get("OMP_NUM_THREADS", "1"))
