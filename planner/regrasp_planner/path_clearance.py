@@ -1,7 +1,7 @@
 """Clearances along a path: which pairs of bodies come near, how near, and a certificate that nothing touches between.
 
-Two compiled programs serve every query of a robot. `_survey` bounds every pair at every configuration from below;
-`_measure` gives distances and gradients of the few pairs the survey leaves open, as one flat batch.
+Two compiled programs serve every query of a robot. `survey_pairs` bounds every pair at every configuration from below;
+`measure_pairs` gives distances and gradients of the few pairs the survey leaves open, as one flat batch.
 
 Motion bound. A body point turns with joint j at a radius of at most ρ_j (distance from the joint's axis to the body's
 bounding ball, plus its radius) at the configuration at hand. On the way to another configuration ρ_j can grow by no
@@ -15,16 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import jax
-import jax.numpy as jnp
-import jaxlie
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from regrasp_planner.collision import CollisionArrays, CollisionModel, body_frames
-from regrasp_planner.geometry.distance import separation
-from regrasp_planner.geometry.support import ConvexBody, exact_support_value
-from regrasp_planner.robot import forward_kinematics
+from regrasp_planner.collision import CollisionModel
+from regrasp_planner.pair_programs import chain_of_pairs, measure_pairs, survey_pairs
 from regrasp_planner.trajectory import Trajectory
+from regrasp_planner.trajectory_course import Course
 
 _CONFIGURATIONS = 32
 """Configurations surveyed at once: their pairs stay in the cache."""
@@ -32,8 +29,6 @@ _ROWS = 128
 """Rows measured at once: fewer waste the vector units, more wait for the slowest and fall out of the cache."""
 _FEW_VERTICES = 8
 """Boxes and capsules: pairs of bodies with at most this many vertices are measured apart, without the padding."""
-_ROUNDING = 2e-6
-"""What single precision may get wrong in a lower bound, metres, for a workspace of a few metres."""
 RELIEF_SLOPE = 0.05
 """Growth of the required margin with the joint distance from an end of the path, metres per radian."""
 _TOUCH = 2e-4
@@ -136,7 +131,7 @@ class PathClearance:
         self.floor: Float[np.ndarray, " P"] = np.minimum(margin, 0.0)
         self.margin: Float[np.ndarray, " P"] = np.where(margin > 0, margin + extra_margin, margin)
         self.pair_count = len(margin)
-        self._joints, self._far = _chain_of_pairs(model)
+        self._joints, self._far = chain_of_pairs(model)
         self._bodies = jax.tree.map(np.asarray, arrays.bodies)
         # Padding vertices come last.
         self._few = replace(self._bodies, vertices=self._bodies.vertices[:, :_FEW_VERTICES])
@@ -170,7 +165,7 @@ class PathClearance:
         parts: list[list[np.ndarray]] = []
         for start in range(0, len(q), _CONFIGURATIONS):
             block = q[start : start + _CONFIGURATIONS]
-            out = _survey(self.model.arrays, _pad(block, _CONFIGURATIONS), self.theta)
+            out = survey_pairs(self.model.arrays, _pad(block, _CONFIGURATIONS), self.theta)
             bounds, *rest = (np.asarray(array) for array in out)
             parts.append([array[: len(block)] for array in (bounds.T, *rest)])
         joined = [arrays[0] if len(parts) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
@@ -204,7 +199,7 @@ class PathClearance:
                 poses = survey.poses[i, first], survey.poses[i, second]
                 turns = self._joints[pair[rows]], survey.axis[i], survey.point[i]
                 # Gathered here and not in the program, which is then the same for every scene and robot.
-                out = _measure(bodies[first], bodies[second], *poses, *turns)
+                out = measure_pairs(bodies[first], bodies[second], *poses, *turns)
                 keep = len(part)
                 distance[part], certified[part], gradient[part] = (np.asarray(array)[:keep] for array in out)
         return Measured(sample, pair, distance, certified, gradient)
@@ -256,7 +251,7 @@ class PathClearance:
             A collision (None: the path is free), and the smallest certified distance met outside the relieved pairs,
             metres (inf where nothing came near).
         """
-        course = _Course(trajectory)
+        course = Course(trajectory)
         begin, end = course.begin(_COARSE)
         nearest = np.inf
         for depth in range(_MAX_DEPTH + 1):
@@ -268,7 +263,7 @@ class PathClearance:
         raise AssertionError("the last depth decides every interval")
 
     def _check_intervals(
-        self, course: _Course, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"], last: bool
+        self, course: Course, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"], last: bool
     ) -> tuple[float, Bool[np.ndarray, " I"], Collision | None]:
         """(smallest certified distance, intervals left open, collision) of some intervals of a trajectory."""
         times, where = np.unique(np.concatenate([begin, end]), return_inverse=True)
@@ -314,140 +309,6 @@ class PathClearance:
             least = np.where(exact >= floor, floor, exact - _TOUCH)
             out[:, relieved] = np.minimum(out[:, relieved], np.where(near, least, np.inf))
         return out
-
-
-class _Course:
-    """Intervals of a trajectory, and how far each joint turns in them."""
-
-    def __init__(self, trajectory: Trajectory):
-        self.trajectory = trajectory
-        pieces = self._within(trajectory.times[:-1], trajectory.times[1:])
-        self._turned = np.concatenate([np.zeros_like(pieces[:1]), np.cumsum(pieces, axis=0)])
-
-    def begin(self, count: int) -> tuple[Float[np.ndarray, " I"], Float[np.ndarray, " I"]]:
-        """About ``count`` intervals that cover everything, even in the turn of the joints, between samples."""
-        turned = self._turned.sum(axis=1)
-        at = np.searchsorted(turned, np.linspace(0.0, turned[-1], count + 1))
-        edges = np.unique(np.concatenate([[0], np.minimum(at, len(turned) - 1), [len(turned) - 1]]))
-        return self.trajectory.times[edges[:-1]], self.trajectory.times[edges[1:]]
-
-    def halved(
-        self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]
-    ) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " J"]]:
-        """Two intervals for each: split at a sample while there is one inside, in the middle of a piece after that."""
-        first, last = self._samples(begin, end)
-        middle = np.where(last - first > 1, self.trajectory.times[(first + last) // 2], 0.5 * (begin + end))
-        return np.concatenate([begin, middle]), np.concatenate([middle, end])
-
-    def variation(self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]) -> Float[np.ndarray, "I n"]:
-        """Bound of each joint's total variation over each interval, radians."""
-        first, last = self._samples(begin, end)
-        several = last - first > 1
-        out = self._turned[last] - self._turned[first]
-        out[~several] = self._within(begin[~several], end[~several])
-        return out
-
-    def _samples(
-        self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]
-    ) -> tuple[Int[np.ndarray, " I"], Int[np.ndarray, " I"]]:
-        times = self.trajectory.times
-        return np.searchsorted(times, begin, side="right") - 1, np.searchsorted(times, end, side="left")
-
-    def _within(self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]) -> Float[np.ndarray, "I n"]:
-        """Length of the control polygon of the Hermite cubic, for intervals within one piece each."""
-        q0, q1 = self.trajectory.at(begin), self.trajectory.at(end)
-        third = (end - begin)[:, None] / 3
-        c0 = q0 + third * self.trajectory.velocity_at(begin)
-        c1 = q1 - third * self.trajectory.velocity_at(end)
-        return np.abs(c0 - q0) + np.abs(c1 - c0) + np.abs(q1 - c1)
-
-
-def _chain_of_pairs(model: CollisionModel) -> tuple[Float[np.ndarray, "P n"], Int[np.ndarray, " P"]]:
-    """Signs (P, n) with which each joint moves the second body of a pair away from the first, and the outer body.
-
-    −1: the joint moves only the first body; +1: only the second; 0: both or none. The outer body (P,) is the one
-    further down the chain: the pair's relative motion is its motion seen from the other.
-    """
-    dof = model.arrays.robot.arm.dof
-    pairs = model.pairs
-    first, second = np.asarray(model.arrays.mover)[pairs].T
-    number = np.arange(1, dof + 1)
-    sign = (number <= second[:, None]).astype(float) - (number <= first[:, None]).astype(float)
-    return sign, np.where(first >= second, pairs[:, 0], pairs[:, 1]).astype(np.int32)
-
-
-@jax.jit
-def _survey(
-    arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, ""]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Bounds (P, N), radii (N, M, n), poses (N, M, 7), joint axes and points (N, n, 3).
-
-    Everything per pair is single precision, with configurations last: memory traffic is what it costs.
-    """
-    poses = jax.vmap(lambda one: body_frames(arrays, one, theta))(q)
-    frames = jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q)[:, 1:-1]
-    axis, point = jaxlie.SO3(frames[..., :4]) @ arrays.robot.arm.axes[None], frames[..., 4:]
-    centers = jaxlie.SE3(poses) @ arrays.box_center[None]
-    extent = jnp.linalg.norm(arrays.box_half, axis=-1) + arrays.bodies.radius
-    arm = centers[:, :, None, :] - point[:, None]
-    along = (arm * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
-    radius = jnp.linalg.norm(arm - along, axis=-1) + extent[:, None]
-
-    rotations = jnp.moveaxis(jaxlie.SO3(poses[..., :4]).as_matrix().astype(jnp.float32), (0, 1), (3, 2))
-    place = jnp.moveaxis(centers.astype(jnp.float32), (0, 1), (2, 1))
-    half = arrays.box_half.T.astype(jnp.float32)[:, :, None]
-    a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
-    sweep = (arrays.bodies.radius[a] + arrays.bodies.radius[b]).astype(jnp.float32)[:, None]
-    bounds = _box_bounds(rotations[:, :, a], rotations[:, :, b], place[:, b] - place[:, a], half[:, a], half[:, b])
-    return bounds - sweep - _ROUNDING, radius, poses, axis, point
-
-
-def _box_bounds(
-    turn_a: Float[Array, "3 3 P N"],
-    turn_b: Float[Array, "3 3 P N"],
-    shift: Float[Array, "3 P N"],
-    half_a: Float[Array, "3 P 1"],
-    half_b: Float[Array, "3 P 1"],
-) -> Float[Array, "P N"]:
-    """Lower bound of the distance of two boxes: the larger of the gaps seen along the axes of either."""
-    axes = range(3)
-    relative = [[jnp.abs(sum(turn_a[k, i] * turn_b[k, j] for k in axes)) for j in axes] for i in axes]
-    gaps_a = [
-        jnp.abs(sum(turn_a[k, i] * shift[k] for k in axes)) - half_a[i] - sum(relative[i][j] * half_b[j] for j in axes)
-        for i in axes
-    ]
-    gaps_b = [
-        jnp.abs(sum(turn_b[k, j] * shift[k] for k in axes)) - half_b[j] - sum(relative[i][j] * half_a[i] for i in axes)
-        for j in axes
-    ]
-    bounds = []
-    for gaps in (gaps_a, gaps_b):
-        largest = jnp.maximum(jnp.maximum(gaps[0], gaps[1]), gaps[2])
-        outside = jnp.sqrt(sum(jnp.maximum(gap, 0.0) ** 2 for gap in gaps))
-        bounds.append(jnp.where(largest > 0, outside, largest))
-    return jnp.maximum(bounds[0], bounds[1])
-
-
-@jax.jit
-def _measure(
-    body_a: ConvexBody,
-    body_b: ConvexBody,
-    pose_a: Float[Array, "R 7"],
-    pose_b: Float[Array, "R 7"],
-    sign: Float[Array, "R n"],
-    axis: Float[Array, "R n 3"],
-    point: Float[Array, "R n 3"],
-) -> tuple[Array, Array, Array]:
-    # One local maximum is enough: overlapping pairs are only ever pushed apart, and near contact there is one.
-    found = separation(body_a, pose_a, body_b, pose_b, thorough=False)
-    x = found.direction
-    reach_a = exact_support_value(body_a, jaxlie.SO3(pose_a[:, :4]).inverse() @ x)
-    reach_b = exact_support_value(body_b, jaxlie.SO3(pose_b[:, :4]).inverse() @ -x)
-    certified = (x * (pose_b[:, 4:] - pose_a[:, 4:])).sum(-1) - reach_a - reach_b
-    # A joint moves the second body (+) or the first (−), and its witness point with it.
-    witness = jnp.where(sign[..., None] > 0, found.point_b[:, None], found.point_a[:, None])
-    gradient = sign * (jnp.cross(axis, witness - point) * x[:, None]).sum(-1)
-    return found.distance, certified, gradient
 
 
 def _pad(values: np.ndarray, size: int) -> np.ndarray:

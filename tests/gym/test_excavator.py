@@ -1,57 +1,31 @@
-"""The excavator's model: what is in it, how it moves and holds still, how it grips stones."""
+"""The excavator's model: what is in it, how it moves and holds still."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import jaxlie
 import mujoco
 import numpy as np
 import pytest
-from jaxtyping import Float
+from excavator_alone import (
+    BODIES,
+    CLOSED,
+    FAR,
+    JAWS,
+    OPEN,
+    STEP,
+    compiled,
+    loaded,
+    pose,
+    ramp,
+    random_configurations,
+    step,
+)
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from regrasp_gym import physics
-from regrasp_gym.objects.stones import StoneConfig, stone
+from regrasp_gym.objects.stones import stone
 from regrasp_gym.robots import excavator
 from regrasp_planner.robot import body_poses, forward_kinematics, robot_bodies
-
-STEP = physics.TIMESTEP
-CLOSED, OPEN = excavator.THETA_RANGE
-BODIES = ("chassis", "house", "boom", "arm", "tool_pitch", "tool_tilt", "tool_rotate", "gripper")
-JAWS = ("left_jaw", "right_jaw")
-FAR = np.array([0.0, -0.45, 0.75, np.pi / 2 - 0.3, 0.0, 0.0])
-"""Stretched out, the grapple pointing down."""
-
-
-def compiled(
-    spec: mujoco.MjSpec | None = None, home: np.ndarray = excavator.HOME
-) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The machine at rest with open jaws, commanded to stay there."""
-    spec = excavator.build_spec() if spec is None else spec
-    physics.configure(spec)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    pose(data, home, OPEN)
-    data.ctrl[:6], data.ctrl[6] = home, OPEN
-    mujoco.mj_forward(model, data)
-    return model, data
-
-
-def pose(data: mujoco.MjData, q: np.ndarray, theta: float) -> None:
-    data.qpos[:6], data.qpos[6:8] = q, theta
-
-
-def step(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
-    for _ in range(round(seconds / STEP)):
-        mujoco.mj_step(model, data)
-
-
-def random_configurations(model: mujoco.MjModel, count: int) -> list[tuple[np.ndarray, float]]:
-    rng = np.random.default_rng(0)
-    low, high = model.jnt_range[:6].T
-    return [(rng.uniform(low, high), rng.uniform(CLOSED, OPEN)) for _ in range(count)]
 
 
 def test_everything_that_is_promised_is_there() -> None:
@@ -237,14 +211,6 @@ def test_the_operator_sees_where_the_tool_works() -> None:
         assert max(abs(x), abs(y)) / -z < half
 
 
-def loaded() -> mujoco.MjSpec:
-    """The machine with a tonne fixed to its grapple."""
-    spec = excavator.build_spec()
-    load = spec.body("gripper").add_body(name="load", pos=[0, 0, 1.22])
-    load.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.35, 0.35, 0.4], mass=1000.0, contype=0, conaffinity=0)
-    return spec
-
-
 def test_it_holds_still_without_load() -> None:
     model, data = compiled()
     step(model, data, 1.0)
@@ -259,20 +225,6 @@ def test_it_sags_little_under_a_tonne_at_eight_metres() -> None:
     sag = before - data.site(excavator.TCP_SITE).xpos
     assert 1e-4 < sag[2] < 0.015
     assert np.abs(data.qvel).max() < 1e-6, "and does not swing"
-
-
-def ramp(distance: float, speed: float, acceleration: float) -> tuple[Callable[[float], float], float]:
-    """Position over time of a move from rest to rest that reaches full speed, and its duration."""
-    rise = speed / acceleration
-    end = distance / speed + rise
-    assert distance > speed * rise
-
-    def position(time: float) -> float:
-        if time > end - rise:
-            return distance - 0.5 * acceleration * max(0.0, end - time) ** 2
-        return speed * (time - rise / 2) if time > rise else 0.5 * acceleration * time**2
-
-    return position, end
 
 
 @pytest.mark.parametrize("joint", range(6))
@@ -306,122 +258,6 @@ def test_the_jaws_follow_one_command_as_one() -> None:
             assert data.qpos[6] == pytest.approx(data.qpos[7], abs=1e-4)
         assert data.qpos[6:8] == pytest.approx([target] * 2, abs=1e-3)
     assert 0.2 < fastest < 0.36
-
-
-def grasped(shape: Float[np.ndarray, "N 3"], seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation and offset from the grasp centre of a stone that both pads touch within 25° of square, and the angles.
-
-    Found by trying: turn the stone at random, close the jaws in steps of what is left between pads and stone.
-    """
-    rng = np.random.default_rng(seed)
-    spec = excavator.build_spec()
-    mesh = spec.add_mesh(name="stone", uservert=shape.ravel())
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-    body = spec.worldbody.add_body(name="stone", mocap=True)
-    body.add_geom(name="stone", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="stone")
-    model, data = compiled(spec)
-    stone_geom, pads = model.geom("stone").id, [model.geom(name).id for name in excavator.PADS]
-    others = [g for g in range(model.ngeom) if model.geom_group[g] == 3 and g not in pads]
-    center = data.site(excavator.TCP_SITE).xpos.copy()
-
-    def touch(geom: int) -> tuple[float, np.ndarray]:
-        ends = np.zeros(6)
-        return mujoco.mj_geomDistance(model, data, geom, stone_geom, 2.0, ends), ends[3:]
-
-    for _ in range(500):
-        turn, offset, theta = Rotation.random(random_state=rng), np.append(rng.normal(size=2) * 0.05, 0.0), OPEN
-        offset = offset[[0, 2, 1]]
-        for _ in range(25):
-            pose(data, excavator.HOME, max(theta, CLOSED))
-            data.mocap_pos[0], data.mocap_quat[0] = center + offset, turn.as_quat(scalar_first=True)
-            mujoco.mj_kinematics(model, data)
-            left, right = touch(pads[0])[0], touch(pads[1])[0]
-            offset[1] += (left - right) / 2
-            theta -= (left + right) / 2
-        if abs(left) + abs(right) > 1e-4 or not CLOSED < theta < OPEN or abs(offset[1]) > 0.15:
-            continue
-        if min(mujoco.mj_geomDistance(model, data, g, stone_geom, 1.0, None) for g in others) < 0.03:
-            continue
-        points = [touch(pad)[1] for pad in pads]
-        across = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
-        angles = []
-        for pad, point, sign in zip(pads, points, (1, -1), strict=True):
-            axis, away = data.geom_xmat[pad].reshape(3, 3)[:, 2], point - data.geom_xpos[pad]
-            away = away - np.clip(away @ axis, -0.12, 0.12) * axis
-            angles.append(np.degrees(np.arccos(np.clip(sign * away @ across / np.linalg.norm(away), -1, 1))))
-        if max(angles) < 25:
-            return turn.as_matrix(), offset, np.array(angles)
-    raise AssertionError("no grasp found")
-
-
-def held_pose(data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Position and rotation of the stone in the gripper frame."""
-    frame = data.site(excavator.TCP_SITE).xmat.reshape(3, 3)
-    body = data.body("stone")
-    return frame.T @ (body.xpos - data.site(excavator.TCP_SITE).xpos), frame.T @ body.xmat.reshape(3, 3)
-
-
-def moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
-    """Metres and degrees between two poses."""
-    turn = np.arccos(np.clip((np.trace(a[1].T @ b[1]) - 1) / 2, -1, 1))
-    return float(np.linalg.norm(a[0] - b[0])), float(np.degrees(turn))
-
-
-def pad_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Sum of the left pad's normal forces, newtons."""
-    pad, total, force = model.geom("left_bite").id, 0.0, np.zeros(6)
-    for k, contact in enumerate(data.contact):
-        if pad in contact.geom:
-            mujoco.mj_contactForce(model, data, k, force)
-            total += force[0]
-    return total
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_friction_alone_holds_a_heavy_stone_through_a_swing(seed: int) -> None:
-    thing = stone(seed, StoneConfig(mass=(850.0, 1000.0)))
-    turn, offset, _ = grasped(thing.pieces[0], seed)
-    spec = excavator.build_spec()
-    center = compiled()[1].site(excavator.TCP_SITE).xpos
-    where = np.concatenate([Rotation.from_matrix(turn).as_quat(scalar_first=True), center + offset])
-    body = thing.add_to(spec, name="stone", pose=where)
-    body.gravcomp = 1.0
-    model, data = compiled(spec)
-    # It floats until the jaws have it.
-    dofs = slice(model.joint("stone_joint").dofadr[0], None)
-    model.dof_damping[dofs] = 3000.0
-    data.ctrl[6] = CLOSED
-    step(model, data, 2.5)
-    model.body_gravcomp[model.body("stone").id] = 0.0
-    model.dof_damping[dofs] = 0.0
-
-    step(model, data, 0.5)
-    presses = []
-    for _ in range(100):
-        mujoco.mj_step(model, data)
-        presses.append(pad_force(model, data))
-    assert 34e3 < np.mean(presses) < 48e3, "the pad presses with about 40 kN"
-    assert np.std(presses) < 100.0, "and without chatter"
-
-    grip = held_pose(data)
-    assert np.linalg.norm(grip[0] - offset * [-1, 1, -1]) < 0.02, "where it was gripped"
-    position, end = ramp(2.2, excavator.MAX_VELOCITY[0], excavator.MAX_ACCELERATION[0])
-    lift = np.array([0.0, -0.12, 0.0, 0.12, 0.0, 0.0])
-    for k in range(round((end + 1.0) / STEP)):
-        share = min(1.0, k * STEP / 2.5)
-        data.ctrl[:6] = excavator.HOME + lift * share**2 * (3 - 2 * share)
-        data.ctrl[0] += position(k * STEP)
-        mujoco.mj_step(model, data)
-    slip, twist = moved(grip, held_pose(data))
-    assert slip < 0.02
-    assert twist < 1.0
-    assert data.qpos[0] == pytest.approx(2.2, abs=1e-3)
-
-    after = held_pose(data)
-    step(model, data, 20.0)
-    slip, twist = moved(after, held_pose(data))
-    assert slip < 0.003, "a held stone does not creep"
-    assert twist < 0.5
 
 
 def test_the_planner_sees_the_same_machine() -> None:
