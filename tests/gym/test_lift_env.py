@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from scripted_lift import LIFT, ScriptedLift
 import regrasp_gym
 from regrasp_gym.benchmark.episodes import run_episode
 from regrasp_gym.errors import SceneError, StateError
+from regrasp_gym.observation import state_layout
 from regrasp_gym.scenes.lift import LiftConfig, make_scene
 from regrasp_planner import StrategyError
 
@@ -82,6 +85,15 @@ def test_relabelled_goals_are_reached(env):
     reward = env.unwrapped.compute_reward(achieved, goal, [{}])
     assert reward[-1] == 0
     assert (reward[:20] == -1).all()
+
+
+def test_docstring_lists_exactly_what_there_is(env):
+    table = type(env.unwrapped).__doc__.split("| observation")[1].split("\n\n")[0]
+    rows = [(int(first), int(last or first)) for first, last in re.findall(r"\n\s*\| (\d+)(?:–(\d+))?", table)]
+    ends = np.cumsum([count for _, count in state_layout(7, 0) if count])
+    assert [last + 1 for _, last in rows] == list(ends)
+    assert [first for first, _ in rows] == [0, *ends[:-1]]
+    assert env.observation_space["observation"].shape == (ends[-1],)
 
 
 def test_states_with_more_objects_are_refused(env):
