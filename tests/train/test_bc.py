@@ -18,6 +18,7 @@ from regrasp_gym.seeds import FIRST_SEED
 from regrasp_train.bc import BcCommand, flattened, fresh, merged, train
 from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.evaluate import EvalCommand, evaluate
+from regrasp_train.run_folder import held
 from regrasp_train.scenes import held_out
 
 pytestmark = pytest.mark.lerobot
@@ -111,8 +112,10 @@ def test_a_dataset_that_does_not_fit_is_refused(lifts, tmp_path):
     with pytest.raises(RunError, match="no checkpoint"):
         train(BcCommand(run, resume=True))
     run.mkdir()
-    with pytest.raises(RunError, match="remove it"):
+    with pytest.raises(RunError, match="choose another --run"):
         fresh(BcCommand(run, lifts))
+    with held(tmp_path / "other"), pytest.raises(RunError, match="another training is at work"):
+        train(BcCommand(tmp_path / "other", lifts, device="cpu"))
     with pytest.raises(RunError, match="'sac' is not one of behaviour cloning"):
         fresh(BcCommand(tmp_path / "new", lifts, config="sac"))
 

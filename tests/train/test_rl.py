@@ -32,7 +32,7 @@ from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
 from regrasp_train.learning_curve import read_points
 from regrasp_train.rl import RlCommand, learning_envs, restored, train
 from regrasp_train.rl_envs import make_judging_env, make_learning_env
-from regrasp_train.run_folder import PROGRESS, checkpoints_in, read_run
+from regrasp_train.run_folder import PROGRESS, checkpoints_in, held, read_run
 
 pytestmark = pytest.mark.rl
 
@@ -185,8 +185,14 @@ def test_nothing_to_go_on_from(tmp_path, sac):
     with pytest.raises(RunError, match="no checkpoint"):
         train(RlCommand(run=tmp_path / "nowhere", resume=True))
     (tmp_path / "run").mkdir()
-    with pytest.raises(RunError, match="remove it"):
+    with pytest.raises(RunError, match="choose another --run"):
         train(options(tmp_path, sac))
+
+
+def test_two_trainings_do_not_share_a_folder(tmp_path, sac):
+    with held(tmp_path / "run"), pytest.raises(RunError, match="another training is at work"):
+        train(options(tmp_path, sac))
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_run_that_goes_on_keeps_what_it_was_told(tmp_path, sac):

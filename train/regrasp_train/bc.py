@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shlex
 import sys
@@ -18,6 +19,7 @@ from regrasp_datasets.quiet import quiet_environment
 from regrasp_train.command_end import ended
 from regrasp_train.configs import read_config
 from regrasp_train.errors import MismatchError, RunError, require_extra
+from regrasp_train.run_folder import check_new, held
 from regrasp_train.scenes import held_out
 from regrasp_train.threads import threads
 
@@ -89,6 +91,8 @@ def train(command: BcCommand, extra: Sequence[str] = ()) -> int:
     arguments = [*(resumed(command) if command.resume else fresh(command)), *extra]
     Console().print(f"lerobot-train {shlex.join(arguments)}", highlight=False, soft_wrap=True)
 
+    # Where FFmpeg is not installed it tells at length that it reads films with PyAV.
+    logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     import torch
     from lerobot.scripts.lerobot_train import train as lerobot_train
 
@@ -97,9 +101,12 @@ def train(command: BcCommand, extra: Sequence[str] = ()) -> int:
     before = sys.argv
     sys.argv = ["lerobot-train", *arguments]
     try:
-        lerobot_train()  # pyright: ignore[reportCallIssue]
+        with held(command.run):
+            lerobot_train()  # pyright: ignore[reportCallIssue]
     finally:
         sys.argv = before
+    policy = saved_config(command.run).parent
+    Console().print(f"regrasp-eval --policy {policy} tells how well it does", highlight=False, soft_wrap=True)
     return 0
 
 
@@ -109,10 +116,7 @@ def fresh(command: BcCommand) -> list[str]:
 
     if command.dataset is None:
         raise RunError("--dataset is missing: give the folder of a dataset, made by regrasp-collect")
-    if saved_config(command.run).exists():
-        raise RunError(f"{command.run} exists already: add --resume to go on with it, or choose another --run")
-    if command.run.exists():
-        raise RunError(f"{command.run} exists already, without a checkpoint: remove it, or choose another --run")
+    check_new(command.run, resumable=saved_config(command.run).exists())
     records = read_episodes(command.dataset)
     config = read_config(command.config)
     if not {"obs_type", "train"} <= set(config):
@@ -155,7 +159,10 @@ def resumed(command: BcCommand) -> list[str]:
     """Arguments for LeRobot's trainer that go on with a run."""
     saved = saved_config(command.run)
     if not saved.exists():
-        raise RunError(f"{command.run} holds no checkpoint to go on from ({saved} is missing): begin without --resume")
+        raise RunError(
+            f"{command.run} holds no checkpoint of regrasp-train-bc to go on from ({saved} is missing): begin another "
+            "--run without --resume"
+        )
     arguments = [f"--env.discover_packages_path={PLUGIN}", f"--config_path={saved}", "--resume=true"]
     chosen = {"steps": command.steps, "save_freq": command.save_every}
     return arguments + flattened({key: value for key, value in chosen.items() if value is not None})

@@ -24,6 +24,7 @@ from regrasp_train.run_folder import (
     MODEL,
     PROGRESS,
     check_new,
+    checkpoints_in,
     held,
     last_checkpoint,
     read_run,
@@ -77,8 +78,8 @@ class RlCommand:
     device: str = "auto"
     """cpu, cuda or mps; what is there by default."""
     resume: bool = False
-    """Go on from the last checkpoint of the run. What it learns and how stays as it was; steps, minutes and the three
-    options above can be changed."""
+    """Go on from the last checkpoint of the run. What it learns and how stays as it was; --steps, --minutes,
+    --save-every, --eval-every and --eval-episodes can be changed."""
     progress: bool = True
     """Whether to show a progress bar."""
     json: Path | None = None
@@ -109,6 +110,8 @@ def train(command: RlCommand) -> int:
     require_extra("regrasp-train-rl", "rl")
     if command.demos is not None:
         require_extra("regrasp-train-rl --demos", "lerobot")
+    check_report(command)
+    settings = told_before(command) if command.resume else begin(command)
     import torch
     from stable_baselines3.common.callbacks import CallbackList, EvalCallback
     from stable_baselines3.common.vec_env import DummyVecEnv
@@ -117,8 +120,6 @@ def train(command: RlCommand) -> int:
     from regrasp_train.rl_envs import make_judging_env
 
     torch.set_num_threads(threads())
-    check_report(command)
-    settings = told_before(command) if command.resume else begin(command)
     with held(command.run):
         write_run(command.run, settings)
         envs = learning_envs(settings)
@@ -143,7 +144,9 @@ def train(command: RlCommand) -> int:
             total = settings["n_timesteps"]
             told = f"{settings['algo'].upper()} in {settings['env']}, {total} steps; tensorboard --logdir {command.run}"
             Console().print(told, highlight=False, soft_wrap=True)
-            if model.num_timesteps < total:
+            if model.num_timesteps >= total:
+                Console().print(f"It has learnt from {model.num_timesteps} steps already: give more with --steps")
+            else:
                 model.learn(
                     total - model.num_timesteps,
                     callback=CallbackList([evaluation, checkpoints]),
@@ -163,21 +166,23 @@ def begin(command: RlCommand) -> dict[str, Any]:
     """Settings of a new run, once it is sure that it can begin."""
     from regrasp_datasets.features import base_env
     from regrasp_datasets.rollout import make_env
-    from regrasp_train.demonstrations import check_demonstrations
 
-    check_new(command.run)
+    check_new(command.run, resumable=bool(checkpoints_in(command.run)))
     if command.demos is not None and command.algo != "sac":
         raise RunError(f"--demos needs a replay buffer, which --algo {command.algo} has not: use --algo sac")
     by_env = read_config(command.config or command.algo)
     config = by_env.get(command.env, by_env.get("default"))
     if config is None:
-        raise RunError(f"the config has no hyper-parameters for {command.env}, and no default ones")
+        name = command.config or command.algo
+        raise RunError(f"config {name!r} has no table {command.env!r} and no table 'default', as shipped sac.yml has")
     env_kwargs = config.get("env_kwargs", {})
     env = make_env(command.env, {**env_kwargs, "obs_type": "state"})
     joints = len(base_env(env).scenario.robot.arm_joints)
     env.close()
     assert env.spec is not None, "an environment made by its id has a specification"
     if command.demos is not None:
+        from regrasp_train.demonstrations import check_demonstrations
+
         check_demonstrations(command.demos, command.env, env_kwargs.get("control_mode", "joint_pos"))
     return {
         "algo": command.algo,
@@ -331,6 +336,9 @@ def report(command: RlCommand, clock: Clock) -> None:
         last = points[-1]
         told = f"{name}: {last.successes} of {last.episodes} succeed after {last.steps} steps"
         Console().print(told, highlight=False)
+    best = command.run / "best" / "best_model.zip"
+    policy = best if best.exists() else command.run / "model.zip"
+    Console().print(f"regrasp-eval --policy {policy} tells how well it does", highlight=False, soft_wrap=True)
     summary: dict[str, Any] = {
         "settings": read_run(command.run),
         "seconds": clock.seconds,

@@ -1,4 +1,4 @@
-"""The folder of a run of reinforcement learning: what is where in it, and who may write there."""
+"""The folder of a run: who may write there, and what is where in one of reinforcement learning."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ MODEL, BUFFER, PROGRESS = "model.zip", "replay_buffer.pkl", "progress.json"
 """What is in a checkpoint."""
 
 
-def check_new(run: Path) -> None:
-    """Raise `RunError` if there is such a folder already."""
-    if not run.exists():
-        return
-    if checkpoints_in(run):
-        raise RunError(f"{run} exists already: add --resume to go on with it, or choose another --run")
-    raise RunError(f"{run} exists already, without a checkpoint to go on from: remove it, or choose another --run")
+def check_new(run: Path, resumable: bool) -> None:
+    """Raise `RunError` if there is such a folder already; it may say whether a checkpoint in it can be resumed."""
+    if run.exists():
+        way = "add --resume to go on with it, or " if resumable else "without a checkpoint to go on from; "
+        raise RunError(f"{run} exists already: {way}choose another --run")
 
 
 @contextlib.contextmanager
 def held(run: Path) -> Generator[None]:
-    """Make the folder of a run if need be, and hold it against other processes.
+    """Hold the folder of a run, which need not exist yet, against other processes.
 
     Raises:
         RunError: another process holds it.
     """
-    run.mkdir(parents=True, exist_ok=True)
-    with (run / "lock").open("w") as lock:
+    run.parent.mkdir(parents=True, exist_ok=True)
+    # Beside the folder, because LeRobot's trainer wants to make that itself.
+    with run.with_name(f".{run.name}.lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise RunError(f"another regrasp-train-rl is at work in {run}") from error
+            raise RunError(f"another training is at work in {run}: choose another --run") from error
         yield
 
 
 def write_run(run: Path, settings: dict[str, Any]) -> None:
-    """Keep what a run is told."""
+    """Keep what a run is told, in its folder."""
+    run.mkdir(exist_ok=True)
     temporary = (run / RUN_FILE).with_suffix(".tmp")
     temporary.write_text(json.dumps(settings, indent=2) + "\n")
     temporary.replace(run / RUN_FILE)
@@ -81,5 +81,7 @@ def last_checkpoint(run: Path) -> Path:
     """
     found = checkpoints_in(run)
     if not found:
-        raise RunError(f"{run} holds no checkpoint to go on from: remove it and begin without --resume")
+        raise RunError(
+            f"{run} holds no checkpoint of regrasp-train-rl to go on from: begin another --run without --resume"
+        )
     return found[-1]
