@@ -22,7 +22,7 @@ export HF_HUB_DISABLE_TELEMETRY ?= 1
 
 help:
 	@echo "make install   .venv with the package and all extras"
-	@echo "make demo      five demonstrations with a regrasp, as a LeRobot dataset, under $(DEMO)"
+	@echo "make demo      five demonstrations, one or more with a regrasp, as a LeRobot dataset, under $(DEMO)"
 	@echo "make test      the test suite"
 	@echo "make lint      ruff, pyright, import-linter"
 	@echo "make clean     remove .venv, caches and outputs"

@@ -39,7 +39,7 @@ def main() -> None:
         "table4": table4,
     }
     try:
-        tyro.extras.subcommand_cli_from_dict(tables, description=__doc__)
+        tyro.extras.subcommand_cli_from_dict(tables, prog="regrasp-bench", description=__doc__)
     except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
         Console(stderr=True).print(f"regrasp-bench: {error}", style="red", markup=False, highlight=False)
         sys.exit(2)

@@ -45,7 +45,7 @@ class PlanCommand:
 
 def main() -> None:
     """Entry point."""
-    command = tyro.cli(PlanCommand)
+    command = tyro.cli(PlanCommand, prog="regrasp-plan", description=PlanCommand.__doc__)
     # One plan and out: while JAX traces the planner, the collector would only walk over objects that stay.
     gc.disable()
     try:
