@@ -220,7 +220,9 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
         return
     retried: set[int] = set()
     crashes = 0
-    console.print(f"Starting {options.workers} worker(s). The first plans compile the planner for minutes, once per machine.")
+    console.print(
+        f"Starting {options.workers} worker(s). The first plans compile the planner for minutes, once per machine."
+    )
     with WorkerPool(config, options.workers) as pool, _progress(console) as progress:
         bar = progress.add_task(
             "episodes", total=options.episodes, completed=len(chosen.seeds), note="starting workers"
