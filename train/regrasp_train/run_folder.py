@@ -24,8 +24,8 @@ MODEL, BUFFER, PROGRESS = "model.zip", "replay_buffer.pkl", "progress.json"
 def check_new(run: Path, resumable: bool) -> None:
     """Raise `RunError` if there is such a folder already; it may say whether a checkpoint in it can be resumed."""
     if run.exists():
-        way = "add --resume to go on with it, or " if resumable else "without a checkpoint to go on from; "
-        raise RunError(f"{run} exists already: {way}choose another --run")
+        state = ": add --resume to go on with it, or" if resumable else " and holds no checkpoint to go on from:"
+        raise RunError(f"{run} exists already{state} choose another --run")
 
 
 @contextlib.contextmanager
