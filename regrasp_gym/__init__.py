@@ -15,7 +15,7 @@ import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
 if TYPE_CHECKING:
-    from regrasp_gym.expert import PlannerExpert
+    from regrasp_gym.expert.expert import PlannerExpert
 
 __all__ = ["PlannerExpert"]
 
@@ -49,7 +49,7 @@ def _register() -> None:
 def __getattr__(name: str) -> object:
     # Loaded on first use: the planner brings JAX, which stepping an environment does not need.
     if name == "PlannerExpert":
-        from regrasp_gym.expert import PlannerExpert
+        from regrasp_gym.expert.expert import PlannerExpert
 
         return PlannerExpert
     raise AttributeError(f"module 'regrasp_gym' has no attribute {name!r}")

@@ -147,7 +147,7 @@ def observe(env: gym.Env, obs: dict[str, Any]) -> Observation:
         env: in the state that ``obs`` shows.
         obs: what ``reset`` or ``step`` returned last; only its images are used.
     """
-    from regrasp_gym.observation import agent_vector, environment_vector
+    from regrasp_gym.envs.observation import agent_vector, environment_vector
 
     base = base_env(env)
     return Observation(
@@ -191,7 +191,7 @@ def _state_names(env: RegraspEnv) -> list[str]:
 
 
 def _environment_state_names(env: RegraspEnv) -> list[str]:
-    from regrasp_gym.observation import OTHER_SIZE, environment_layout
+    from regrasp_gym.envs.observation import OTHER_SIZE, environment_layout
 
     names: list[str] = []
     for part, count in environment_layout(env.scenario.max_others):

@@ -239,7 +239,7 @@ def picture_plan(record: EpisodeRecord, path: Path, stored: Path) -> None:
     Raises:
         RolloutError: the expert finds no plan now, although it did when the episode was recorded.
     """
-    from regrasp_gym.plan_picture import save_plan_picture
+    from regrasp_gym.expert.plan_picture import save_plan_picture
 
     env = replay_env(record, render_mode="rgb_array")
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -115,7 +115,7 @@ def make_expert(config: RolloutConfig, env: gym.Env) -> Expert:
     Raises:
         RolloutError: there is no such class, or no such strategy.
     """
-    from regrasp_planner.stages import Strategy
+    from regrasp_planner.stages.plan import Strategy
 
     names = [str(member) for member in Strategy]
     if config.strategy not in names:

@@ -26,14 +26,13 @@ _configure_jax()
 
 from regrasp_planner.errors import GeometryError, RegraspError, StrategyError, TaskError  # noqa: E402
 from regrasp_planner.geometry import ConvexBody, certified_distance, separation, signed_distance  # noqa: E402
-from regrasp_planner.grasp import Grasp, GraspGenOptions  # noqa: E402
-from regrasp_planner.grasp_gen import generate_grasps  # noqa: E402
-from regrasp_planner.pipeline import plan  # noqa: E402
-from regrasp_planner.robot import Arm, Gripper, Robot  # noqa: E402
-from regrasp_planner.scene import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
-from regrasp_planner.stab_pose import StablePoses, stable_poses  # noqa: E402
-from regrasp_planner.stage_search import PlanOptions  # noqa: E402
-from regrasp_planner.stages import (  # noqa: E402
+from regrasp_planner.grasp.grasp import Grasp, GraspGenOptions  # noqa: E402
+from regrasp_planner.grasp.grasp_gen import generate_grasps  # noqa: E402
+from regrasp_planner.path.trajectory import Trajectory  # noqa: E402
+from regrasp_planner.placement.stab_pose import StablePoses, stable_poses  # noqa: E402
+from regrasp_planner.robot.model import Arm, Gripper, Robot  # noqa: E402
+from regrasp_planner.stages.pipeline import plan  # noqa: E402
+from regrasp_planner.stages.plan import (  # noqa: E402
     Failure,
     Phase,
     Plan,
@@ -45,7 +44,8 @@ from regrasp_planner.stages import (  # noqa: E402
     StageKind,
     Strategy,
 )
-from regrasp_planner.trajectory import Trajectory  # noqa: E402
+from regrasp_planner.stages.search import PlanOptions  # noqa: E402
+from regrasp_planner.task import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
 
 __all__ = [
     "Arm",

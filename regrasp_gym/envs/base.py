@@ -11,17 +11,19 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from regrasp_gym import control, observation, rendering, reward
-from regrasp_gym.envs.scenario import Scenario
-from regrasp_gym.envs.task import make_task
-from regrasp_gym.envs.world import World, base_spec
+from regrasp_gym.envs import control, observation, reward
+from regrasp_gym.envs.planner_task import make_task
 from regrasp_gym.errors import EnvError, OptionError, StateError
+from regrasp_gym.rendering.renderer import SceneRenderer, halved
+from regrasp_gym.rendering.window import Window
 from regrasp_gym.scenes.scene import Scene
+from regrasp_gym.simulation.scenario import Scenario
+from regrasp_gym.simulation.world import World, base_spec
 
 if TYPE_CHECKING:
     from regrasp_planner import Grasp, Plan, PlanOptions, Strategy
-    from regrasp_planner.robot import Robot
-    from regrasp_planner.scene import Task
+    from regrasp_planner.robot.model import Robot
+    from regrasp_planner.task import Task
 
 ObsType = Literal["state", "pixels_agent_pos"]
 ControlMode = Literal["joint_pos", "ee_delta"]
@@ -103,8 +105,8 @@ class RegraspEnv(gymnasium.Env):
             image_size if obs_type != "state" else (1, 1), np.multiply(render_size, 2 * bool(render_mode))
         )
         self._base = base_spec(scenario, buffer_height=int(drawn[0]), buffer_width=int(drawn[1]))
-        self._renderer = rendering.SceneRenderer(height=int(drawn[0]), width=int(drawn[1]))
-        self._window = rendering.Window(scenario.control_period) if render_mode == "human" else None
+        self._renderer = SceneRenderer(height=int(drawn[0]), width=int(drawn[1]))
+        self._window = Window(scenario.control_period) if render_mode == "human" else None
         self._control = self._make_control()
         self._reward = reward.REWARDS[reward_type]
         self._world: World | None = None
@@ -275,7 +277,7 @@ class RegraspEnv(gymnasium.Env):
             )
         world = self.world
         large = self._renderer.render(world.model, world.data, camera, 2 * width, 2 * height, show_goal=True)
-        return rendering.halved(large)
+        return halved(large)
 
     def get_state(self) -> EnvState:
         """All that the future of the episode depends on; `set_state` continues from it to the last bit."""

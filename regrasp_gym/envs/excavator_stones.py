@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from regrasp_gym.envs.base import RegraspEnv
-from regrasp_gym.envs.scenario import RobotSetup, Scenario
-from regrasp_gym.rendering import SITE, Camera
-from regrasp_gym.reward import Tolerance
+from regrasp_gym.rendering.setting import SITE, Camera
 from regrasp_gym.robots import excavator
 from regrasp_gym.scenes.slopes import make_scene
 from regrasp_gym.scenes.slopes_config import MAX_OTHERS, SlopesConfig
+from regrasp_gym.simulation.scenario import RobotSetup, Scenario, Tolerance
 
 if TYPE_CHECKING:
     from regrasp_planner import PlanOptions

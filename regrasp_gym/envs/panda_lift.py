@@ -10,8 +10,8 @@ import numpy as np
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB
-from regrasp_gym.reward import Tolerance
 from regrasp_gym.scenes.lift import LiftConfig, make_scene
+from regrasp_gym.simulation.scenario import Tolerance
 
 if TYPE_CHECKING:
     from regrasp_planner import Grasp, Plan, PlanOptions, Strategy
@@ -112,8 +112,8 @@ class PandaYCBLiftEnv(RegraspEnv):
         known_grasps: Sequence[Grasp] = (),
     ) -> Plan:
         """A grasp from the planner and a straight line up; the strategy makes no difference."""
-        from regrasp_gym.lift_plan import plan_lift
         from regrasp_planner import Strategy
+        from regrasp_planner.stages.lift import plan_lift
 
         Strategy(strategy)  # only to name one that does not exist
         return plan_lift(self.task(), self.planner_robot, seed, options or self.plan_options(), known_grasps)

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from regrasp_gym.envs.base import RegraspEnv
-from regrasp_gym.envs.scenario import RobotSetup, Scenario
-from regrasp_gym.rendering import Camera
-from regrasp_gym.reward import Tolerance
+from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.robots import panda
 from regrasp_gym.scenes.table_shelf import TableShelfConfig, make_scene
+from regrasp_gym.simulation.scenario import RobotSetup, Scenario, Tolerance
 
 PANDA = RobotSetup(
     build_spec=panda.build_spec,

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from regrasp_gym.looks import Look, Rgba
 from regrasp_gym.objects.decompose import MAX_PIECES, convex_pieces
 from regrasp_gym.objects.model import MAX_HULL_VERTICES, ObjectModel
+from regrasp_gym.rendering.surfaces import Look, Rgba
 from regrasp_planner import GeometryError
 from regrasp_planner.geometry.hull import reduced_hull
 

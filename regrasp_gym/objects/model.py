@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from regrasp_gym.looks import Look, Rgba, add_look, faceted
+from regrasp_gym.rendering.surfaces import Look, Rgba, add_look, faceted
 
 if TYPE_CHECKING:
-    from regrasp_planner.scene import Body
+    from regrasp_planner.task import Body
 
 MAX_HULL_VERTICES = 64
 """Most vertices of one convex piece: with more, MuJoCo's contacts at rest keep jittering."""
@@ -100,13 +100,13 @@ class ObjectModel:
     def _body(self) -> Body:
         # Imported here because it loads JAX, which the physics alone does not need.
         from regrasp_planner.geometry.support import ConvexBody
-        from regrasp_planner.scene import Body
+        from regrasp_planner.task import Body
 
         pieces = tuple(ConvexBody.from_vertices(piece) for piece in self.pieces)
         return Body(self.name, pieces, np.zeros(3), self.mass)
 
     def body(self) -> Body:
-        """The object as the planner sees it, a `regrasp_planner.scene.Body` (made once)."""
+        """The object as the planner sees it, a `regrasp_planner.task.Body` (made once)."""
         return self._body
 
     def add_to(

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_gym.looks import joined, revolve, sweep
 from regrasp_gym.objects.model import ObjectModel, solid
+from regrasp_gym.rendering.surfaces import joined, revolve, sweep
 
 _OUTER, _INNER, _HEIGHT = 46.5, 42.0, 81.0
 _FLOOR = (1.0, 6.0)

@@ -70,7 +70,7 @@ def panel(
 
 
 def atlas(front: Picture, side: Picture, top: Picture) -> Picture:
-    """Texture of `regrasp_gym.looks.textured_box`: ``front`` on ±x, ``side`` on ±y, ``top`` on ±z."""
+    """Texture of `regrasp_gym.rendering.surfaces.textured_box`: ``front`` on ±x, ``side`` on ±y, ``top`` on ±z."""
     row = np.concatenate([front, side, top], axis=1)
     return np.concatenate([row, row], axis=0)
 

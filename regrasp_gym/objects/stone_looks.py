@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from regrasp_gym.looks import Look
+from regrasp_gym.rendering.surfaces import Look
 
 TONES: dict[str, tuple[float, float, float]] = {
     "light grey": (0.80, 0.80, 0.78),

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from regrasp_gym.looks import Look, Rgba, faceted, joined, revolve, sweep, textured_box, wall
 from regrasp_gym.objects import prints, shapes
 from regrasp_gym.objects.model import ObjectModel, solid
 from regrasp_gym.objects.mug import mug
 from regrasp_gym.objects.prints import Picture, Rgb, panel
+from regrasp_gym.rendering.surfaces import Look, Rgba, faceted, joined, revolve, sweep, textured_box, wall
 
 _MM = 1e-3
 _TIN: Rgba = (0.78, 0.78, 0.76, 1.0)

@@ -69,7 +69,7 @@ def build_spec() -> mujoco.MjSpec:
     each pad); site `TCP_SITE`; camera ``cab``, the operator's view. Collision geoms are in group 3, the geoms that are
     seen in group 2. What touches a stone for `PADS` are polyhedra in their place, ``left_bite`` and ``right_bite`` in
     group 4. All bodies are gravity-compensated. Physics options are left at their defaults: see
-    `regrasp_gym.physics.configure`.
+    `regrasp_gym.simulation.physics.configure`.
     """
     xml = files("regrasp_gym.robots").joinpath("excavator.xml").read_text(encoding="utf-8")
     spec = mujoco.MjSpec.from_string(xml)
@@ -97,7 +97,7 @@ def planner_robot(model: mujoco.MjModel | None = None) -> Robot:
         model: a compiled model that holds the excavator under the names of `build_spec`; by default it alone.
     """
     # Imported here because it loads JAX, which the physics alone does not need.
-    from regrasp_gym.robots.from_mjcf import robot_from_model
+    from regrasp_gym.robots.planner_robot import robot_from_model
 
     return robot_from_model(
         build_spec().compile() if model is None else model,

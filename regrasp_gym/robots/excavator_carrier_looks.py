@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from regrasp_gym.looks import Look, joined, sweep
+from regrasp_gym.rendering.surfaces import Look, joined, sweep
 from regrasp_gym.robots.excavator_shapes import Parts, bar, box, frustum, merged, pin, pipe, plate, stadium, strut
 
 _SHOES = 49

@@ -7,7 +7,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from regrasp_gym.looks import Look, add_look, revolve
+from regrasp_gym.rendering.surfaces import Look, add_look, revolve
 from regrasp_gym.robots import excavator_carrier_looks as carrier
 from regrasp_gym.robots.excavator_shapes import Parts, bar, beam, box, frustum, merged, painted, pin, pipe, plate
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_gym.looks import Look, Rgba, faceted, joined, revolve, sweep
+from regrasp_gym.rendering.surfaces import Look, Rgba, faceted, joined, revolve, sweep
 
 PAINT: Rgba = (0.06, 0.40, 0.42, 1.0)
 CREAM: Rgba = (0.90, 0.87, 0.78, 1.0)

@@ -47,7 +47,7 @@ def build_spec() -> mujoco.MjSpec:
     Bodies ``link0`` … ``link7``, ``hand``, ``left_finger``, ``right_finger``; joints `ARM_JOINTS` and `FINGER_JOINTS`;
     position actuators `ARM_ACTUATORS` (force limits 87 and 12 N·m) and `GRIPPER_ACTUATOR` (70 N at each pad); site
     `TCP_SITE`; camera ``wrist``. Collision geoms are in group 3, the geoms that are seen in group 2. All bodies are
-    gravity-compensated. Physics options are left at their defaults: see `regrasp_gym.physics.configure`.
+    gravity-compensated. Physics options are left at their defaults: see `regrasp_gym.simulation.physics.configure`.
     """
     xml = files("regrasp_gym.robots").joinpath("panda.xml").read_text(encoding="utf-8")
     spec = mujoco.MjSpec.from_string(xml)
@@ -62,7 +62,7 @@ def planner_robot(model: mujoco.MjModel | None = None) -> Robot:
         model: a compiled model that holds the Panda under the names of `build_spec`; by default the Panda alone.
     """
     # Imported here because it loads JAX, which the physics alone does not need.
-    from regrasp_gym.robots.from_mjcf import robot_from_model
+    from regrasp_gym.robots.planner_robot import robot_from_model
 
     return robot_from_model(
         build_spec().compile() if model is None else model,

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_gym.looks import Look, Rgba, add_look, faceted, joined, revolve, sweep
+from regrasp_gym.rendering.surfaces import Look, Rgba, add_look, faceted, joined, revolve, sweep
 
 WHITE: Rgba = (0.92, 0.93, 0.94, 1.0)
 GREY: Rgba = (0.42, 0.44, 0.47, 1.0)

@@ -40,7 +40,7 @@ class Fixture:
         name: for messages, and the name of its body.
         size: (3,) full edge lengths, metres.
         pose: (7,) of its middle in the world.
-        material: what it looks like, a key of `regrasp_gym.rendering.MATERIALS`.
+        material: what it looks like, a key of `regrasp_gym.rendering.materials.MATERIALS`.
         support: whether objects may rest on it.
     """
 

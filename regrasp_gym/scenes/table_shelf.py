@@ -16,7 +16,7 @@ from jaxtyping import Float
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.ycb import OBJECTS
-from regrasp_gym.scenes.parts import over_a_part
+from regrasp_gym.scenes.graspable import over_a_part
 from regrasp_gym.scenes.resting import RestingPose, least_width, resting_poses, upright_pose
 from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
 

@@ -6,13 +6,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from scenario_facts import SCENARIOS, Facts
-
-
-@pytest.fixture(scope="session", params=SCENARIOS, ids=lambda facts: facts.name)
-def facts(request: pytest.FixtureRequest) -> Facts:
-    """Each scenario in turn."""
-    return request.param
+from scenario_facts import Facts
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from regrasp_gym import physics
 from regrasp_gym.robots import excavator
+from regrasp_gym.simulation import physics
 
 STEP = physics.TIMESTEP
 CLOSED, OPEN = excavator.THETA_RANGE

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from regrasp_gym.benchmark.trials import Record, run_trials
 from regrasp_gym.errors import BenchError
+from regrasp_gym.reports.trials import Record, run_trials
 
 
 def squares(setting: Record) -> Callable[[int], Record]:

@@ -11,15 +11,15 @@ import gymnasium as gym
 import numpy as np
 
 import regrasp_gym  # noqa: F401  registers the environments
-from regrasp_gym import observation
+from regrasp_gym.envs import observation
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.excavator_stones import EXCAVATOR_STONES, ExcavatorStonesEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB, PandaYCBEnv
-from regrasp_gym.envs.scenario import Scenario
 from regrasp_gym.objects.model import solid
 from regrasp_gym.scenes.scene import PlacedObject, Scene
 from regrasp_gym.scenes.slopes_config import SlopesConfig
 from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.simulation.scenario import Scenario
 
 OBS_TYPES = ("state", "pixels_agent_pos")
 CONTROL_MODES = ("joint_pos", "ee_delta")

@@ -15,8 +15,8 @@ from gymnasium.envs.registration import WrapperSpec
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB
-from regrasp_gym.envs.scenario import RobotSetup
 from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.simulation.scenario import RobotSetup
 from regrasp_planner import Robot
 
 ENV_ID = "third_party/URYCB-v0"
@@ -139,7 +139,7 @@ def build_spec() -> mujoco.MjSpec:
 
 def planner_robot() -> Robot:
     """The robot as the planner sees it."""
-    from regrasp_gym.robots.from_mjcf import robot_from_model
+    from regrasp_gym.robots.planner_robot import robot_from_model
 
     return robot_from_model(
         build_spec().compile(),

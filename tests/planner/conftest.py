@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.support import ConvexBody
-from regrasp_planner.robot import Arm, Gripper, Robot
-from regrasp_planner.scene import Body, Obstacle
+from regrasp_planner.robot.model import Arm, Gripper, Robot
+from regrasp_planner.task import Body, Obstacle
 
 HALF_PI = np.pi / 2
 

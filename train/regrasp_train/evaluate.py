@@ -20,7 +20,7 @@ from rich.table import Table
 
 from regrasp_datasets.quiet import quiet_environment
 from regrasp_datasets.rollout import make_env
-from regrasp_gym.benchmark.trials import Record, Trial, crashes, run_trials, wilson, write_report
+from regrasp_gym.reports.trials import Record, Trial, crashes, run_trials, wilson, write_report
 from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
 from regrasp_train.command_end import ended
 from regrasp_train.errors import MismatchError, RunError

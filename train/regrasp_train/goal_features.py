@@ -8,7 +8,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from regrasp_gym.observation import state_layout
+from regrasp_gym.envs.observation import state_layout
 
 _NEAR = 10.0
 """Distances of 10 cm become 1."""

@@ -9,8 +9,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from regrasp_gym.benchmark.plots import COLOURS, draw
-from regrasp_gym.benchmark.trials import read_records, wilson
+from regrasp_gym.reports.plots import COLOURS, draw
+from regrasp_gym.reports.trials import read_records, wilson
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

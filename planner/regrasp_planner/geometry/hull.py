@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,17 +11,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from regrasp_planner.errors import GeometryError
-
-BUCKETS = (8, 16, 32, 64, 128, 256)
-"""Numbers of vertices that bodies are padded to, so that few shapes are ever compiled."""
-
-
-def bucket_size(count: int, buckets: Sequence[int] = BUCKETS) -> int:
-    """Smallest bucket that holds ``count``; beyond the last one, the next multiple of it."""
-    for size in buckets:
-        if count <= size:
-            return size
-    return -(-count // buckets[-1]) * buckets[-1]
 
 
 def checked_points(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
@@ -281,3 +269,42 @@ def _distance_to_triangles(
             distance = np.minimum(distance, np.linalg.norm(points - start - share[:, None] * along, axis=1))
         best = np.minimum(best, distance)
     return best
+
+
+CLIPPED = 2**15
+"""Crossings of lines and planes worked out at once."""
+
+
+def clip_lines(
+    points: Float[np.ndarray, "K P 3"], direction: Float[np.ndarray, "K 3"], planes: Float[np.ndarray, "F 4"]
+) -> tuple[Float[np.ndarray, "K P"], Float[np.ndarray, "K P"]]:
+    """Where lines enter and leave the convex body n·x ≤ b.
+
+    Args:
+        points: P points of each of K bundles of parallel lines, metres.
+        direction: one unit direction per bundle.
+        planes: (n, b) of the body's facets.
+
+    Returns:
+        Distances from the points along the direction at which the lines enter and leave, metres; +∞ and −∞ where they
+        miss the body.
+    """
+    enter, leave = np.empty(points.shape[:2]), np.empty(points.shape[:2])
+    # A block of lines at a time, whose distances from all planes fit into the cache.
+    step = max(1, CLIPPED // (points.shape[1] * len(planes)))
+    for begin in range(0, len(points), step):
+        block = slice(begin, begin + step)
+        speed = (direction[block] @ planes[:, :3].T)[:, None]
+        # A line along a plane, outside of it, leaves the body long before it could enter.
+        speed = np.where(np.abs(speed) < 1e-9, 1e-12, speed)
+        crossing = (planes[:, 3] - points[block] @ planes[:, :3].T) / speed
+        enter[block] = np.where(speed < 0, crossing, -np.inf).max(axis=-1)
+        leave[block] = np.where(speed > 0, crossing, np.inf).min(axis=-1)
+    hit = enter < leave
+    return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
+
+
+def hull_planes(vertices: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "F 4"]:
+    """Planes (n, b) of the facets of a hull, n·x ≤ b inside; facets that lie in one plane give it once."""
+    planes = qhull(vertices).equations * [1.0, 1.0, 1.0, -1.0]
+    return planes[np.unique(planes.round(7), axis=0, return_index=True)[1]]

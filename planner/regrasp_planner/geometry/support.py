@@ -14,7 +14,6 @@ support function: S ≥ 1. Distances taken from it are therefore conservative.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,8 +25,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from regrasp_planner.batching import bucket_size
 from regrasp_planner.errors import GeometryError
-from regrasp_planner.geometry.hull import bucket_size, checked_points, reduced_hull, solid_center
+from regrasp_planner.geometry.hull import checked_points, reduced_hull, solid_center
+from regrasp_planner.memo import IdentityMemo
 
 DEFAULT_SHARPNESS = 512
 """Sharpness at which a body of 5 cm is within about 0.1 mm of its hull."""
@@ -167,16 +168,16 @@ class ConvexBody:
         """
         if self.vertices.shape[-2] <= max_vertices:
             return self
-        key = (id(self), max_vertices)
-        if key not in _THINNED:
+
+        def thin() -> ConvexBody:
             points = self.hull_vertices()
             body = self
             if len(points) > max_vertices:
                 body = ConvexBody.from_vertices(points, float(self.radius), float(self.sharpness), max_vertices)
             # The rest is padding.
-            _THINNED[key] = replace(body, vertices=body.vertices[:max_vertices])
-            weakref.finalize(self, _THINNED.pop, key, None)
-        return _THINNED[key]
+            return replace(body, vertices=body.vertices[:max_vertices])
+
+        return _THINNED.get(self, thin, max_vertices)
 
     def hull_vertices(self) -> Float[np.ndarray, "N 3"]:
         """Vertices of a single body without the padding, (N, 3) metres, on the host; the sweep is not included."""
@@ -238,8 +239,7 @@ class ConvexBody:
         return jax.tree.map(lambda *leaves: xp.concatenate(leaves), *padded)
 
 
-_THINNED: dict[tuple[int, int], ConvexBody] = {}
-"""Results of `ConvexBody.thinned` by identity of the body, dropped with it."""
+_THINNED = IdentityMemo()
 
 
 def _library(bodies: Sequence[ConvexBody]) -> Any:

@@ -1,0 +1,1 @@
+"""The exhaustive search that says which scenes one grasp suffices for."""

@@ -1,0 +1,1 @@
+"""Other people's libraries in the planner's place: coal, mink, OMPL."""

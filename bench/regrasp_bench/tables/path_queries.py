@@ -1,0 +1,134 @@
+"""Queries for path planners: what the planner asks while it plans a scene, and random ones."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from regrasp_bench.peers.coal_checker import ExactChecker
+
+if TYPE_CHECKING:
+    from regrasp_gym.envs.base import RegraspEnv
+    from regrasp_planner import Robot, Task, Trajectory
+    from regrasp_planner.collision.model import CollisionModel
+    from regrasp_planner.path.path_plan import PathOptions, PathResult
+
+KINDS = ("planned", "planned, holding", "random", "random, holding")
+_ATTEMPTS = 1000
+
+
+@dataclass(frozen=True)
+class Query:
+    """One path query.
+
+    Attributes:
+        kind: one of `KINDS`.
+        model: bodies and pairs.
+        start, goal: (n,) configurations, radians.
+        theta: finger coordinate.
+        options: of PathPlan.
+    """
+
+    kind: str
+    model: CollisionModel
+    start: Float[np.ndarray, " n"]
+    goal: Float[np.ndarray, " n"]
+    theta: float
+    options: PathOptions
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line of the gripper that PathPlan found, from a grasp.
+
+    Attributes:
+        model: bodies and pairs.
+        theta: finger coordinate.
+        trajectory: the motion.
+    """
+
+    model: CollisionModel
+    theta: float
+    trajectory: Trajectory
+
+
+def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
+    """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
+    with _listening() as heard:
+        env.plan(strategy)
+    return heard
+
+
+@contextmanager
+def _listening() -> Generator[tuple[list[Query], list[Line]]]:
+    """Take down what the planner asks of PathPlan."""
+    from regrasp_planner.path.path_plan import PathOptions
+    from regrasp_planner.stages import motion as stage_motion
+
+    queries: list[Query] = []
+    lines: list[Line] = []
+    plan_path, cartesian_path = stage_motion.plan_path, stage_motion.cartesian_path
+
+    def hear_path(
+        model: CollisionModel,
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        theta: float,
+        options: PathOptions | None = None,
+        seed: int = 0,
+    ) -> PathResult:
+        kind = "planned, holding" if "held" in model.body_names else "planned"
+        queries.append(Query(kind, model, start, goal, theta, options or PathOptions()))
+        return plan_path(model, start, goal, theta, options, seed)
+
+    def hear_line(
+        model: CollisionModel,
+        start: Float[np.ndarray, " n"],
+        displacement: Float[np.ndarray, " 3"],
+        theta: float,
+        options: PathOptions | None = None,
+    ) -> PathResult:
+        result = cartesian_path(model, start, displacement, theta, options)
+        if result.trajectory is not None:
+            lines.append(Line(model, theta, result.trajectory))
+        return result
+
+    stage_motion.plan_path, stage_motion.cartesian_path = hear_path, hear_line
+    try:
+        yield queries, lines
+    finally:
+        stage_motion.plan_path, stage_motion.cartesian_path = plan_path, cartesian_path
+
+
+def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:
+    """Random pairs of free configurations with something in between, with an empty hand and with the target in it.
+
+    There are ``count`` of either kind, or fewer where that many tries do not find them.
+    """
+    from regrasp_planner.grasp.grasp_gen import generate_grasps
+    from regrasp_planner.path.path_plan import PathOptions
+    from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+
+    surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
+    worlds = [("random", surroundings.empty_handed(task.pick.target_pose), float(robot.gripper.upper))]
+    grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
+    if grasps:
+        worlds.append(("random, holding", surroundings.holding(grasps[0]), float(grasps[0].theta)))
+    lower, upper = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
+    queries: list[Query] = []
+    for kind, model, theta in worlds:
+        checker = ExactChecker(model, theta)
+        found: list[Query] = []
+        for _ in range(_ATTEMPTS):
+            if len(found) == count:
+                break
+            start, goal = rng.uniform(lower, upper, (2, robot.arm.dof))
+            if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
+                found.append(Query(kind, model, start, goal, theta, PathOptions()))
+        queries += found
+    return queries

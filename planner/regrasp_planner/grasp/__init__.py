@@ -1,0 +1,1 @@
+"""Grasps: GraspGen, its problem and its starts, and the sampling baseline."""

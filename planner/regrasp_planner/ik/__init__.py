@@ -1,0 +1,1 @@
+"""Inverse kinematics: IkSolve, and straight lines of the gripper."""

@@ -1,0 +1,1 @@
+"""Paths: PathPlan, certified clear between its waypoints, and timed."""

@@ -1,0 +1,81 @@
+"""The compiled programs behind `path_clearance`: lower bounds for all pairs of bodies, exact figures for a few."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from regrasp_planner.collision.model import CollisionArrays, CollisionModel, body_frames
+from regrasp_planner.geometry.boxes import box_bounds
+from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.support import ConvexBody, exact_support_value
+from regrasp_planner.robot.kinematics import forward_kinematics
+
+_ROUNDING = 2e-6
+"""What single precision may get wrong in a lower bound, metres, for a workspace of a few metres."""
+
+
+def chain_of_pairs(model: CollisionModel) -> tuple[Float[np.ndarray, "P n"], Int[np.ndarray, " P"]]:
+    """Signs (P, n) with which each joint moves the second body of a pair away from the first, and the outer body.
+
+    −1: the joint moves only the first body; +1: only the second; 0: both or none. The outer body (P,) is the one
+    further down the chain: the pair's relative motion is its motion seen from the other.
+    """
+    dof = model.arrays.robot.arm.dof
+    pairs = model.pairs
+    first, second = np.asarray(model.arrays.mover)[pairs].T
+    number = np.arange(1, dof + 1)
+    sign = (number <= second[:, None]).astype(float) - (number <= first[:, None]).astype(float)
+    return sign, np.where(first >= second, pairs[:, 0], pairs[:, 1]).astype(np.int32)
+
+
+@jax.jit
+def survey_pairs(
+    arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, ""]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Bounds (P, N), radii (N, M, n), poses (N, M, 7), joint axes and points (N, n, 3).
+
+    Everything per pair is single precision, with configurations last: memory traffic is what it costs.
+    """
+    poses = jax.vmap(lambda one: body_frames(arrays, one, theta))(q)
+    frames = jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q)[:, 1:-1]
+    axis, point = jaxlie.SO3(frames[..., :4]) @ arrays.robot.arm.axes[None], frames[..., 4:]
+    centers = jaxlie.SE3(poses) @ arrays.box_center[None]
+    extent = jnp.linalg.norm(arrays.box_half, axis=-1) + arrays.bodies.radius
+    arm = centers[:, :, None, :] - point[:, None]
+    along = (arm * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
+    radius = jnp.linalg.norm(arm - along, axis=-1) + extent[:, None]
+
+    rotations = jnp.moveaxis(jaxlie.SO3(poses[..., :4]).as_matrix().astype(jnp.float32), (0, 1), (3, 2))
+    place = jnp.moveaxis(centers.astype(jnp.float32), (0, 1), (2, 1))
+    half = arrays.box_half.T.astype(jnp.float32)[:, :, None]
+    a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
+    sweep = (arrays.bodies.radius[a] + arrays.bodies.radius[b]).astype(jnp.float32)[:, None]
+    bounds = box_bounds(rotations[:, :, a], rotations[:, :, b], place[:, b] - place[:, a], half[:, a], half[:, b])
+    return bounds - sweep - _ROUNDING, radius, poses, axis, point
+
+
+@jax.jit
+def measure_pairs(
+    body_a: ConvexBody,
+    body_b: ConvexBody,
+    pose_a: Float[Array, "R 7"],
+    pose_b: Float[Array, "R 7"],
+    sign: Float[Array, "R n"],
+    axis: Float[Array, "R n 3"],
+    point: Float[Array, "R n 3"],
+) -> tuple[Array, Array, Array]:
+    """Distances (R,), certified lower bounds (R,) and gradients (R, n) of R pairs of bodies, one by one."""
+    # One local maximum is enough: overlapping pairs are only ever pushed apart, and near contact there is one.
+    found = separation(body_a, pose_a, body_b, pose_b, thorough=False)
+    x = found.direction
+    reach_a = exact_support_value(body_a, jaxlie.SO3(pose_a[:, :4]).inverse() @ x)
+    reach_b = exact_support_value(body_b, jaxlie.SO3(pose_b[:, :4]).inverse() @ -x)
+    certified = (x * (pose_b[:, 4:] - pose_a[:, 4:])).sum(-1) - reach_a - reach_b
+    # A joint moves the second body (+) or the first (−), and its witness point with it.
+    witness = jnp.where(sign[..., None] > 0, found.point_b[:, None], found.point_a[:, None])
+    gradient = sign * (jnp.cross(axis, witness - point) * x[:, None]).sum(-1)
+    return found.distance, certified, gradient

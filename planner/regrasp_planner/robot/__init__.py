@@ -1,0 +1,1 @@
+"""The robot as the planner sees it: arm, gripper, their bodies and their motion."""

@@ -1,0 +1,1 @@
+"""Plans: the stages that a target is moved in, and the search for them."""

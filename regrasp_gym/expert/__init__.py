@@ -1,0 +1,1 @@
+"""The planner as an expert, and its plans in print and picture."""

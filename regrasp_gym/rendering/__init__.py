@@ -1,0 +1,1 @@
+"""What a scene looks like, and pictures of it."""

@@ -1,0 +1,1 @@
+"""What commands write: messages, files, tables and plots."""

@@ -1,0 +1,104 @@
+"""What makes one scenario of pick-and-place with regrasp differ from another, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from regrasp_gym.rendering.setting import TABLE_TOP, Camera, Setting
+from regrasp_gym.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from regrasp_planner.robot.model import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSetup:
+    """A robot as the environment drives it: names in its MuJoCo specification, and limits.
+
+    Attributes:
+        build_spec: a new specification of the robot alone.
+        planner_robot: makes the planner's `Robot` from the same specification.
+        arm_joints, arm_actuators: n names each, base to wrist; ctrl is the joint's position, radians.
+        finger_joints: names of the finger joints, driven as one.
+        gripper_actuator: name; ctrl is the finger coordinate θ.
+        tcp_site: site of the gripper frame.
+        home: (n,) configuration at the start of an episode, radians.
+        max_velocity: (n,) fastest that the commanded joint positions move, rad/s.
+        theta_range: least and greatest θ; greater is wider. Metres for sliding fingers, radians for jaws.
+    """
+
+    build_spec: Callable[[], mujoco.MjSpec]
+    planner_robot: Callable[[], Robot]
+    arm_joints: tuple[str, ...]
+    arm_actuators: tuple[str, ...]
+    finger_joints: tuple[str, ...]
+    gripper_actuator: str
+    tcp_site: str
+    home: Float[np.ndarray, " n"]
+    max_velocity: Float[np.ndarray, " n"]
+    theta_range: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A robot, its scenes, and the conventions of the environment around them.
+
+    Attributes:
+        robot: the robot.
+        make_scene: (seed, config) → scene; config None stands for the default one.
+        control_period: seconds per environment step.
+        tolerance: when the target counts as placed.
+        arrival: largest joint error at which a motion counts as finished, radians.
+        pace: how much longer things take to come to rest than on a table-top: gravity moves what is ten times as large
+            √10 times as slowly.
+        max_others: number of objects besides the target that observations have room for.
+        translation_step: largest move of the gripper per step under ``ee_delta``, metres.
+        rotation_step: largest turn of the gripper per step under ``ee_delta``, radians.
+        cameras: cameras fixed in the world; the robot's specification may bring more.
+        pixels: names of the cameras in observations with pixels.
+        floor_height: of the floor, metres.
+        setting: what the scenes are lit and surrounded by.
+        held: whether the target is to be held at the goal, instead of let go there.
+    """
+
+    robot: RobotSetup
+    make_scene: Callable[[int, Any], Scene]
+    control_period: float
+    tolerance: Tolerance
+    arrival: float
+    pace: float
+    max_others: int
+    translation_step: float
+    rotation_step: float
+    cameras: tuple[Camera, ...]
+    pixels: tuple[str, ...]
+    floor_height: float
+    setting: Setting = TABLE_TOP
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """When the target counts as placed, and the lengths that the dense reward is shaped by.
+
+    Attributes:
+        position: largest distance from the goal, metres.
+        rotation: largest angle from the goal, radians.
+        speed: largest speed of a target at rest, m/s.
+        turn_rate: largest angular speed of a target at rest, rad/s.
+        lever: metres that a radian of misalignment counts in the dense reward: half the size of a larger object.
+        length: metres at which the dense reward's terms have fallen to 1 − tanh 1 = 24 %.
+    """
+
+    position: float = 0.025
+    rotation: float = float(np.deg2rad(15))
+    speed: float = 0.01
+    turn_rate: float = 0.2
+    lever: float = 0.1
+    length: float = 0.2
