@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-from regrasp_planner.grasp.grasp import Grasp
+from regrasp_planner.grasp.grasp import Grasp, NoGraspReason
 from regrasp_planner.grasp.sampling import sample_grasps
 from regrasp_planner.robot.model import Robot
 from regrasp_planner.stages.plan import Failure, Phase, Plan, PlanStats, Reason, Stage, StageKind, Strategy
@@ -122,9 +122,9 @@ def _sampled(stages: StageSearch) -> tuple[Stage, ...] | Failure:
     size = SAMPLED_BATCH
     batches = (result.grasps[begin : begin + size] for begin in range(0, len(result.grasps), size))
     failure = Failure(
-        Reason.TOO_WIDE if result.reason == "too wide" else Reason.NO_COMMON_GRASP,
+        Reason.TOO_WIDE if result.reason is NoGraspReason.TOO_WIDE else Reason.NO_COMMON_GRASP,
         StageKind.PICK_TO_PLACE,
-        result.reason,
+        result.reason.value if result.reason else "",
         f"none of {result.evaluations} sampled grasps of {task.target.name!r} is feasible in pick and place",
     )
     return _one_grasp(stages, batches) or failure

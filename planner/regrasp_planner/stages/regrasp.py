@@ -15,10 +15,10 @@ from itertools import pairwise, permutations
 import numpy as np
 from jaxtyping import Float, Int
 
-from regrasp_planner.grasp.grasp_gen import Reachable
+from regrasp_planner.grasp.reachability import ReachabilityGrader
+from regrasp_planner.placement.basins import ReleaseCone, release_cones
 from regrasp_planner.placement.release_pose import resting_poses, tilted_pose
 from regrasp_planner.placement.stab_pose import stable_poses
-from regrasp_planner.placement.tilted_release import ReleaseCone, release_cones
 from regrasp_planner.pose import Pose
 from regrasp_planner.stages.plan import Failure, Reason, Stage, StageKind
 from regrasp_planner.stages.search import Held, StageSearch, furthest
@@ -37,7 +37,7 @@ class _Rest:
     upright: ReleaseCone
     tilted: ReleaseCone
     poses: tuple[Pose, ...]
-    reachable: Reachable
+    reachable: ReachabilityGrader
 
 
 class RegraspSearch:

@@ -10,8 +10,8 @@ from itertools import chain
 import numpy as np
 from jaxtyping import Float, Int
 
-from regrasp_planner.grasp.grasp import Grasp, GraspGenOptions
-from regrasp_planner.grasp.grasp_gen import Found, GraspSearch
+from regrasp_planner.grasp.grasp import FeasibleGrasp, Grasp, GraspGenOptions, NoGraspReason
+from regrasp_planner.grasp.grasp_gen import GraspSearch
 from regrasp_planner.grasp.sampling import SamplingOptions
 from regrasp_planner.ik.ik_solve import Reachability, within_reach
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
@@ -121,7 +121,7 @@ class StageSearch:
             known |= {keys[i]: int(grade) for i, grade in zip(new, grades, strict=True)}
         return np.array([known[key] for key in keys], int)
 
-    def timed(self, batches: Iterator[list[Found]]) -> Iterator[list[Found]]:
+    def timed(self, batches: Iterator[list[FeasibleGrasp]]) -> Iterator[list[FeasibleGrasp]]:
         """The same batches, the time they take counted as GraspGen's."""
         while (batch := self.clock.time("grasp_gen", lambda: next(batches, None))) is not None:
             yield batch
@@ -212,7 +212,7 @@ class StageSearch:
                     failure = furthest(failure, reaches.failure)
         return found, failure
 
-    def either_way(self, batches: Iterator[list[Found]]) -> Iterator[list[Held]]:
+    def either_way(self, batches: Iterator[list[FeasibleGrasp]]) -> Iterator[list[Held]]:
         """Grasps as they are found, each with the fingers either way round."""
         for batch in self.timed(batches):
             pairs = ((found.grasp, flipped(found.grasp, self.robot)) for found in batch)
@@ -232,17 +232,18 @@ class StageSearch:
     def no_grasp(self, kind: StageKind, search: GraspSearch, where: str) -> Failure:
         """Why a search has given no grasp."""
         name, reason = self.task.target.name, search.reason
-        if reason == "too wide":
+        if reason is NoGraspReason.TOO_WIDE:
             opening = 1e3 * float(self.robot.gripper.max_opening) * self.robot.unit
             message = f"{name!r} is wider in every direction than the gripper opens ({opening:.0f} mm)"
             return Failure(Reason.TOO_WIDE, kind, "finger limits", message)
-        if reason == "out of reach":
+        if reason is NoGraspReason.OUT_OF_REACH:
             return self.unreachable(kind)
-        if reason == "enclosed" and len(search.scenes) == 1:
+        if reason is NoGraspReason.ENCLOSED and len(search.scenes) == 1:
             message = f"no grasp of {name!r} keeps clear of the obstacles around it in the {where} scene"
             return Failure(Reason.ENCLOSED, kind, "world collision", message)
         message = f"no grasp of {name!r} keeps clear of the obstacles of {where} together"
-        return Failure(Reason.NO_COMMON_GRASP, kind, "world collision" if reason == "enclosed" else reason, message)
+        constraint = "world collision" if reason is NoGraspReason.ENCLOSED else reason.value
+        return Failure(Reason.NO_COMMON_GRASP, kind, constraint, message)
 
 
 _PROGRESS = (

@@ -20,7 +20,7 @@ from regrasp_bench.tables.path_queries import random_queries
 from regrasp_gym.reports.trials import read_records
 from regrasp_planner.collision.clearance import configuration_clearance
 from regrasp_planner.collision.model import body_frames
-from regrasp_planner.grasp.grasp_gen import Grasp
+from regrasp_planner.grasp.grasp import Grasp
 from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
 
 THETA = 0.03

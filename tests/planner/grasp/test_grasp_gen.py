@@ -12,10 +12,12 @@ from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.hull import clip_lines, hull_planes
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp.broad_phase import overlaps
+from regrasp_planner.grasp.closing_axes import closing_axes
 from regrasp_planner.grasp.grasp import GraspGenOptions, StartKind
 from regrasp_planner.grasp.grasp_gen import PATIENCE, GraspSearch, generate_grasps
-from regrasp_planner.grasp.problem import grasp_objective, grasp_problem
-from regrasp_planner.grasp.starts import closing_axes, grasp_starts
+from regrasp_planner.grasp.objective import grasp_objective
+from regrasp_planner.grasp.problem import grasp_problem
+from regrasp_planner.grasp.starts import grasp_starts
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 from regrasp_planner.placement.tilted_release import ReleaseCone, plane_clearance
 from regrasp_planner.pose import rigid, wxyz_xyz
@@ -188,7 +190,7 @@ def test_lines_are_clipped_by_a_hull_where_they_pierce_it(seed):
 def test_starts_touch_with_both_pads_and_keep_the_palm_off(panda, body):
     hull, gripper = body.hull_vertices(), panda.gripper
     axes, _ = closing_axes(hull, 0.08, 4)
-    starts = grasp_starts([hull], 0, hull, axes, gripper, 12, 0.005)
+    starts = grasp_starts([hull], 0, axes, gripper, 12, 0.005)
     palm = reduce_gripper(gripper).hand[0]
     deep = np.flatnonzero(starts.depths > 0.005)
     assert len(deep) > 20
