@@ -1,47 +1,46 @@
-"""``regrasp-bench``: measure the planner and the expert, or draw it; each name is one table, or all pictures."""
+"""``regrasp-bench``: measure the planner and the expert, or draw them; each name is one table, or all pictures."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from typing import Any
 
-import gymnasium
 import tyro
-from rich.console import Console
 
-from regrasp_bench.pictures.command import pictures
-from regrasp_bench.tables.difficulty import difficulty
-from regrasp_bench.tables.distance import distance
-from regrasp_bench.tables.episodes import episodes
-from regrasp_bench.tables.ik import ik
-from regrasp_bench.tables.modules import modules
-from regrasp_bench.tables.paper import table3, table4
-from regrasp_bench.tables.path import path
-from regrasp_bench.tables.releases import releases
-from regrasp_bench.tables.simulation import simulation
-from regrasp_bench.tables.stable_poses import stable_poses
-from regrasp_gym.errors import EnvError
+from regrasp_bench.pictures.command import PicturesOptions, pictures
+from regrasp_bench.tables.difficulty import DifficultyOptions, difficulty
+from regrasp_bench.tables.distance import DistanceOptions, distance
+from regrasp_bench.tables.episodes import EpisodesOptions, episodes
+from regrasp_bench.tables.ik import IkOptions, ik
+from regrasp_bench.tables.modules import ModulesOptions, modules
+from regrasp_bench.tables.paper import Table3Options, Table4Options, table3, table4
+from regrasp_bench.tables.path import PathOptions, path
+from regrasp_bench.tables.releases import ReleasesOptions, releases
+from regrasp_bench.tables.simulation import SimulationOptions, simulation
+from regrasp_bench.tables.stable_poses import StablePosesOptions, stable_poses
+from regrasp_gym.reports.command_line import run_command
+
+COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
+    "difficulty": (DifficultyOptions, difficulty),
+    "distance": (DistanceOptions, distance),
+    "episodes": (EpisodesOptions, episodes),
+    "ik": (IkOptions, ik),
+    "modules": (ModulesOptions, modules),
+    "path": (PathOptions, path),
+    "pictures": (PicturesOptions, pictures),
+    "releases": (ReleasesOptions, releases),
+    "simulation": (SimulationOptions, simulation),
+    "stable-poses": (StablePosesOptions, stable_poses),
+    "table3": (Table3Options, table3),
+    "table4": (Table4Options, table4),
+}
+"""Options and work of each subcommand."""
 
 
 def main() -> None:
-    """Entry point."""
-    tables = {
-        "difficulty": difficulty,
-        "distance": distance,
-        "episodes": episodes,
-        "ik": ik,
-        "modules": modules,
-        "path": path,
-        "pictures": pictures,
-        "releases": releases,
-        "simulation": simulation,
-        "stable-poses": stable_poses,
-        "table3": table3,
-        "table4": table4,
-    }
-    try:
-        tyro.extras.subcommand_cli_from_dict(tables, prog="regrasp-bench", description=__doc__)
-    except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        Console(stderr=True).print(f"regrasp-bench: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Entry point: exits with 0 if done, 1 if trials crashed, 2 for wrong use, 130 for Ctrl-C."""
+    options = {name: kind for name, (kind, _) in COMMANDS.items()}
+    chosen = tyro.extras.subcommand_cli_from_dict(options, prog="regrasp-bench", description=__doc__)
+    work = dict(COMMANDS.values())[type(chosen)]
+    sys.exit(run_command("regrasp-bench", lambda: work(chosen), resume="the same command resumes"))

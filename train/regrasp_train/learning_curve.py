@@ -9,8 +9,9 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from regrasp_gym.reports.plots import COLOURS, draw
-from regrasp_gym.reports.trials import read_records, wilson
+from regrasp_gym.reports.files import read_lines
+from regrasp_gym.reports.plots import COLOURS, save_figure
+from regrasp_gym.reports.report import wilson
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ def append_point(path: Path, point: CurvePoint) -> None:
 
 def read_points(path: Path, last_step: int | None = None) -> list[CurvePoint]:
     """Evaluations in a file, up to ``last_step``; none if there is no file. Half-written lines are left out."""
-    points = [CurvePoint(**record) for record in read_records(path)]
+    points = [CurvePoint(**record) for record in read_lines(path)]
     return [point for point in points if last_step is None or point.steps <= last_step]
 
 
@@ -89,4 +90,4 @@ def plot_curves(curves: Mapping[str, Sequence[CurvePoint]], path: Path | None, t
         axes.set(xlabel="environment steps", ylabel="success (%)", ylim=(-2, 102), title=title)
         axes.legend()
 
-    draw(path, paint)
+    save_figure(path, paint)

@@ -23,7 +23,7 @@ _ATTEMPTS = 1000
 
 
 @dataclass(frozen=True)
-class Query:
+class PathQuery:
     """One path query.
 
     Attributes:
@@ -43,7 +43,7 @@ class Query:
 
 
 @dataclass(frozen=True)
-class Line:
+class CartesianPath:
     """A straight line of the gripper that PathPlan found, from a grasp.
 
     Attributes:
@@ -57,7 +57,7 @@ class Line:
     trajectory: Trajectory
 
 
-def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
+def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[PathQuery], list[CartesianPath]]:
     """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
     with _listening() as heard:
         env.plan(strategy)
@@ -65,13 +65,13 @@ def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
 
 
 @contextmanager
-def _listening() -> Generator[tuple[list[Query], list[Line]]]:
+def _listening() -> Generator[tuple[list[PathQuery], list[CartesianPath]]]:
     """Take down what the planner asks of PathPlan."""
     from regrasp_planner.path.path_plan import PathOptions
     from regrasp_planner.stages import motion as stage_motion
 
-    queries: list[Query] = []
-    lines: list[Line] = []
+    queries: list[PathQuery] = []
+    lines: list[CartesianPath] = []
     plan_path, cartesian_path = stage_motion.plan_path, stage_motion.cartesian_path
 
     def hear_path(
@@ -83,7 +83,7 @@ def _listening() -> Generator[tuple[list[Query], list[Line]]]:
         seed: int = 0,
     ) -> PathResult:
         kind = "planned, holding" if "held" in model.body_names else "planned"
-        queries.append(Query(kind, model, start, goal, theta, options or PathOptions()))
+        queries.append(PathQuery(kind, model, start, goal, theta, options or PathOptions()))
         return plan_path(model, start, goal, theta, options, seed)
 
     def hear_line(
@@ -95,7 +95,7 @@ def _listening() -> Generator[tuple[list[Query], list[Line]]]:
     ) -> PathResult:
         result = cartesian_path(model, start, displacement, theta, options)
         if result.trajectory is not None:
-            lines.append(Line(model, theta, result.trajectory))
+            lines.append(CartesianPath(model, theta, result.trajectory))
         return result
 
     stage_motion.plan_path, stage_motion.cartesian_path = hear_path, hear_line
@@ -105,7 +105,7 @@ def _listening() -> Generator[tuple[list[Query], list[Line]]]:
         stage_motion.plan_path, stage_motion.cartesian_path = plan_path, cartesian_path
 
 
-def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:
+def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[PathQuery]:
     """Random pairs of free configurations with something in between, with an empty hand and with the target in it.
 
     There are ``count`` of either kind, or fewer where that many tries do not find them.
@@ -120,15 +120,15 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     if grasps:
         worlds.append(("random, holding", surroundings.holding(grasps[0]), float(grasps[0].theta)))
     lower, upper = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
-    queries: list[Query] = []
+    queries: list[PathQuery] = []
     for kind, model, theta in worlds:
         checker = ExactChecker(model, theta)
-        found: list[Query] = []
+        found: list[PathQuery] = []
         for _ in range(_ATTEMPTS):
             if len(found) == count:
                 break
             start, goal = rng.uniform(lower, upper, (2, robot.arm.dof))
             if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
-                found.append(Query(kind, model, start, goal, theta, PathOptions()))
+                found.append(PathQuery(kind, model, start, goal, theta, PathOptions()))
         queries += found
     return queries

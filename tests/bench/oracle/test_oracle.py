@@ -14,9 +14,10 @@ from regrasp_planner.task import Body, Obstacle, Scene, Task
 
 coal = pytest.importorskip("coal")
 
+from regrasp_bench.oracle.reach import Reach, ReachOptions  # noqa: E402
+
 from regrasp_bench.oracle.antipodal import AntipodalOptions, Hand, sample_grasps  # noqa: E402
 from regrasp_bench.oracle.oracle import Oracle, OracleOptions, Use  # noqa: E402
-from regrasp_bench.oracle.reach import Reach, ReachOptions  # noqa: E402
 from regrasp_bench.peers.coal_shapes import Posed, Shape, clear  # noqa: E402
 from regrasp_bench.tables.difficulty import compare, summarise  # noqa: E402
 
