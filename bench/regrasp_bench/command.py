@@ -16,6 +16,7 @@ from regrasp_bench.tables.ik import IkOptions, ik
 from regrasp_bench.tables.modules import ModulesOptions, modules
 from regrasp_bench.tables.paper import Table3Options, Table4Options, table3, table4
 from regrasp_bench.tables.path import PathOptions, path
+from regrasp_bench.tables.plans import PlansOptions, plans
 from regrasp_bench.tables.releases import ReleasesOptions, releases
 from regrasp_bench.tables.simulation import SimulationOptions, simulation
 from regrasp_bench.tables.stable_poses import StablePosesOptions, stable_poses
@@ -29,6 +30,7 @@ COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
     "modules": (ModulesOptions, modules),
     "path": (PathOptions, path),
     "pictures": (PicturesOptions, pictures),
+    "plans": (PlansOptions, plans),
     "releases": (ReleasesOptions, releases),
     "simulation": (SimulationOptions, simulation),
     "stable-poses": (StablePosesOptions, stable_poses),

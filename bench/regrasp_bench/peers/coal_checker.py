@@ -218,7 +218,7 @@ class ExactChecker:
     def _bounds(
         self, turn: Float[np.ndarray, "N B 3 3"], shift: Float[np.ndarray, "N B 3"]
     ) -> Float[np.ndarray, "N P"]:
-        """Lower bounds of positive distances, of a ball about one body to a box about the other; negative in overlap."""
+        """Lower bounds of positive distances, ball about one body to box about the other; negative in overlap."""
         center = (turn @ self._center[:, :, None])[..., 0] + shift
         out = np.empty((len(turn), len(self.pairs)))
         # Against still bodies, all at once: the centres along the axes of each box are one matrix product.

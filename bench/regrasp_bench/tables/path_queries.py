@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,7 +29,7 @@ class PathQuery:
         model: bodies and pairs.
         start, goal: (n,) configurations, radians.
         theta: finger coordinate.
-        options: of PathPlan.
+        options: options of PathPlan.
     """
 
     kind: str
@@ -44,7 +42,7 @@ class PathQuery:
 
 @dataclass(frozen=True)
 class CartesianPath:
-    """A straight line of the gripper that PathPlan found, from a grasp.
+    """A straight motion of the gripper from a grasp, as PathPlan found it.
 
     Attributes:
         model: bodies and pairs.
@@ -58,57 +56,54 @@ class CartesianPath:
 
 
 def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[PathQuery], list[CartesianPath]]:
-    """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
-    with _listening() as heard:
-        env.plan(strategy)
-    return heard
+    """All path queries of one plan of a scene, answered or not, and all straight lines that the planner found."""
+    from regrasp_planner import plan
+
+    recorder = _Recorder()
+    plan(env.task(), env.planner_robot, strategy, options=env.plan_options(), observer=recorder)
+    return recorder.queries, recorder.lines
 
 
-@contextmanager
-def _listening() -> Generator[tuple[list[PathQuery], list[CartesianPath]]]:
-    """Take down what the planner asks of PathPlan."""
-    from regrasp_planner.path.path_plan import PathOptions
-    from regrasp_planner.stages import motion as stage_motion
+class _Recorder:
+    """A `regrasp_planner.stages.motion.PathObserver` that keeps all path queries and all lines found."""
 
-    queries: list[PathQuery] = []
-    lines: list[CartesianPath] = []
-    plan_path, cartesian_path = stage_motion.plan_path, stage_motion.cartesian_path
+    def __init__(self) -> None:
+        self.queries: list[PathQuery] = []
+        self.lines: list[CartesianPath] = []
 
-    def hear_path(
+    def on_path(
+        self,
         model: CollisionModel,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
         theta: float,
-        options: PathOptions | None = None,
-        seed: int = 0,
-    ) -> PathResult:
+        options: PathOptions,
+        result: PathResult,
+    ) -> None:
+        """Keep the query."""
+        del result
         kind = "planned, holding" if "held" in model.body_names else "planned"
-        queries.append(PathQuery(kind, model, start, goal, theta, options or PathOptions()))
-        return plan_path(model, start, goal, theta, options, seed)
+        self.queries.append(PathQuery(kind, model, start, goal, theta, options))
 
-    def hear_line(
+    def on_line(
+        self,
         model: CollisionModel,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
         theta: float,
-        options: PathOptions | None = None,
-    ) -> PathResult:
-        result = cartesian_path(model, start, displacement, theta, options)
+        options: PathOptions,
+        result: PathResult,
+    ) -> None:
+        """Keep the line, if there is one."""
+        del start, displacement, options
         if result.trajectory is not None:
-            lines.append(CartesianPath(model, theta, result.trajectory))
-        return result
-
-    stage_motion.plan_path, stage_motion.cartesian_path = hear_path, hear_line
-    try:
-        yield queries, lines
-    finally:
-        stage_motion.plan_path, stage_motion.cartesian_path = plan_path, cartesian_path
+            self.lines.append(CartesianPath(model, theta, result.trajectory))
 
 
 def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[PathQuery]:
-    """Random pairs of free configurations with something in between, with an empty hand and with the target in it.
+    """Random pairs of free configurations with an obstacle between, with an empty gripper and with the target in it.
 
-    There are ``count`` of either kind, or fewer where that many tries do not find them.
+    There are ``count`` of each kind, or fewer if `_ATTEMPTS` do not find them.
     """
     from regrasp_planner.grasp.grasp_gen import generate_grasps
     from regrasp_planner.path.path_plan import PathOptions

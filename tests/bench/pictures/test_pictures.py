@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_bench.pictures import studio
 from regrasp_bench.pictures.basins import basins_picture
-from regrasp_bench.pictures.command import pictures
+from regrasp_bench.pictures.command import PicturesOptions, pictures
 from regrasp_bench.pictures.execution import execution_picture
 from regrasp_bench.pictures.poses import poses_picture
 from regrasp_bench.pictures.union import _cut, gripper_looks, union_picture
@@ -147,11 +147,11 @@ def test_stable_poses_of_objects_are_drawn_each_in_its_place() -> None:
 
 
 def test_the_command_writes_files_and_refuses_unknown_objects(tmp_path: Path) -> None:
-    pictures(("basins",), tmp_path, thing="061_foam_brick")
+    assert pictures(PicturesOptions(("basins",), tmp_path, thing="061_foam_brick")) == 0
     assert [file.name for file in tmp_path.iterdir()] == ["basins.png"]
     assert os.path.getsize(tmp_path / "basins.png") < 300_000
     with pytest.raises(OptionError, match=r"unknown object 'teapot'.*025_mug"):
-        pictures(("basins",), tmp_path, thing="teapot")
+        pictures(PicturesOptions(("basins",), tmp_path, thing="teapot"))
 
 
 @pytest.mark.slow
