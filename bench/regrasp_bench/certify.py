@@ -57,7 +57,7 @@ class CertifyOptions(BenchOptions):
 
 def main() -> None:
     """Entry point: exits with 0 if done, 1 if scenes crashed, 2 for wrong use, 130 for Ctrl-C."""
-    options = tyro.cli(CertifyOptions, prog="regrasp-certify", description=CertifyOptions.__doc__)
+    options = tyro.cli(CertifyOptions, prog="regrasp-certify")
     sys.exit(run_command("regrasp-certify", lambda: certify(options), resume="the same command resumes"))
 
 

@@ -4,45 +4,36 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
+from operator import attrgetter
+from typing import Any, get_type_hints
 
 import tyro
 
-from regrasp_bench.pictures.command import PicturesOptions, pictures
-from regrasp_bench.tables.difficulty import DifficultyOptions, difficulty
-from regrasp_bench.tables.distance import DistanceOptions, distance
-from regrasp_bench.tables.episodes import EpisodesOptions, episodes
-from regrasp_bench.tables.ik import IkOptions, ik
-from regrasp_bench.tables.modules import ModulesOptions, modules
-from regrasp_bench.tables.paper import Table3Options, Table4Options, table3, table4
-from regrasp_bench.tables.path import PathOptions, path
-from regrasp_bench.tables.plans import PlansOptions, plans
-from regrasp_bench.tables.releases import ReleasesOptions, releases
-from regrasp_bench.tables.simulation import SimulationOptions, simulation
-from regrasp_bench.tables.stable_poses import StablePosesOptions, stable_poses
+from regrasp_bench.pictures.command import pictures
+from regrasp_bench.tables.difficulty import difficulty
+from regrasp_bench.tables.distance import distance
+from regrasp_bench.tables.episodes import episodes
+from regrasp_bench.tables.ik import ik
+from regrasp_bench.tables.modules import modules
+from regrasp_bench.tables.paper import table3, table4
+from regrasp_bench.tables.path import path
+from regrasp_bench.tables.plans import plans
+from regrasp_bench.tables.releases import releases
+from regrasp_bench.tables.simulation import simulation
+from regrasp_bench.tables.stable_poses import stable_poses
 from regrasp_gym.reports.command_line import run_command
 
-COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
-    "difficulty": (DifficultyOptions, difficulty),
-    "distance": (DistanceOptions, distance),
-    "episodes": (EpisodesOptions, episodes),
-    "ik": (IkOptions, ik),
-    "modules": (ModulesOptions, modules),
-    "path": (PathOptions, path),
-    "pictures": (PicturesOptions, pictures),
-    "plans": (PlansOptions, plans),
-    "releases": (ReleasesOptions, releases),
-    "simulation": (SimulationOptions, simulation),
-    "stable-poses": (StablePosesOptions, stable_poses),
-    "table3": (Table3Options, table3),
-    "table4": (Table4Options, table4),
+BENCHMARKS = (difficulty, distance, episodes, ik, modules, path, plans, releases, simulation, stable_poses)
+COMMANDS: dict[str, Callable[[Any], int]] = {
+    work.__name__.replace("_", "-"): work
+    for work in sorted((*BENCHMARKS, pictures, table3, table4), key=attrgetter("__name__"))
 }
-"""Options and work of each subcommand."""
+"""Work of each subcommand, a function of its options."""
 
 
 def main() -> None:
     """Entry point: exits with 0 if done, 1 if trials crashed, 2 for wrong use, 130 for Ctrl-C."""
-    options = {name: kind for name, (kind, _) in COMMANDS.items()}
+    works = {get_type_hints(work)["options"]: work for work in COMMANDS.values()}
+    options = dict(zip(COMMANDS, works, strict=True))
     chosen = tyro.extras.subcommand_cli_from_dict(options, prog="regrasp-bench", description=__doc__)
-    work = dict(COMMANDS.values())[type(chosen)]
-    sys.exit(run_command("regrasp-bench", lambda: work(chosen), resume="the same command resumes"))
+    sys.exit(run_command("regrasp-bench", lambda: works[type(chosen)](chosen), resume="the same command resumes"))

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from regrasp_gym.reports.command_line import JsonFile
+from regrasp_gym.reports.report import Record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,10 @@ class BenchOptions:
     """One JSON line per trial, appended as it ends."""
     json_file: JsonFile = None
     """Write the summary as JSON."""
+
+    def values(self, *names: str) -> Record:
+        """Values of the named options."""
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)

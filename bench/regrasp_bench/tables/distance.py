@@ -71,7 +71,7 @@ class DistanceOptions(PlotOptions):
 
 def distance(options: DistanceOptions) -> int:
     """Run the benchmark; returns the exit code."""
-    setting: Record = {"pairs": options.pairs, "rounds": options.rounds}
+    setting = options.values("pairs", "rounds")
     setting["versions"] = package_versions(("regrasp-gym", "jax", "coal"))
     presentation = Presentation(_show, _paint, 2, ("regrasp-gym", "jax", "jaxlib", "numpy", "scipy", "coal"))
     label = "numbers of vertices"

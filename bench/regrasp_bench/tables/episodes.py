@@ -49,7 +49,7 @@ class EpisodesOptions(BenchOptions):
 
 def episodes(options: EpisodesOptions) -> int:
     """Run the benchmark; returns the exit code."""
-    setting = {"env": options.env, "strategy": options.strategy, "control_mode": options.control_mode}
+    setting = options.values("env", "strategy", "control_mode")
     setting["version"] = version("regrasp-gym")
     seeds = range(options.first_seed, options.first_seed + options.count)
     return run_benchmark(options, setting, seeds, _prepare, summarise, Presentation(_show), "episodes")

@@ -48,13 +48,8 @@ class IkOptions(SceneOptions, PlotOptions):
 
 def ik(options: IkOptions) -> int:
     """Run the benchmark; returns the exit code."""
-    setting: Record = {
-        "env": options.env,
-        "random_poses": options.random_poses,
-        "grasps": options.grasps,
-        "starts": options.starts,
-        "versions": package_versions(("regrasp-gym", "coal", "mink")),
-    }
+    setting = options.values("env", "random_poses", "grasps", "starts")
+    setting["versions"] = package_versions(("regrasp-gym", "coal", "mink"))
     packages = ("regrasp-gym", "jax", "numpy", "scipy", "mujoco", "coal", "mink", "daqp")
     return run_benchmark(
         options, setting, options.seeds, _prepare, summarise, Presentation(_show, _paint, packages=packages)

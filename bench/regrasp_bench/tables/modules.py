@@ -55,7 +55,7 @@ class ModulesOptions(SceneOptions, PlotOptions):
 def modules(options: ModulesOptions) -> int:
     """Run the benchmark; returns the exit code."""
     versions = package_versions(("regrasp-gym", "trimesh"))
-    setting = {"env": options.env, "repeats": options.repeats, "strategies": options.strategies, "versions": versions}
+    setting = {**options.values("env", "repeats", "strategies"), "versions": versions}
     presentation = Presentation(_show, _paint, 2, ("regrasp-gym", "jax", "numpy", "scipy", "trimesh", "coal"))
     return run_benchmark(options, setting, options.seeds, _prepare, summarise, presentation)
 

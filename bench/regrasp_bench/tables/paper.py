@@ -66,12 +66,12 @@ class Table4Options(StrategyOptions):
     """
 
 
-def table3(options: StrategyOptions) -> int:
+def table3(options: Table3Options) -> int:
     """Run what the records lack, and publish Table III; returns the exit code."""
     return _publish(options, Presentation(_show_successes, _paint_successes))
 
 
-def table4(options: StrategyOptions) -> int:
+def table4(options: Table4Options) -> int:
     """Run what the records lack, and publish Table IV; returns the exit code."""
     return _publish(options, Presentation(_show_calls, _paint_calls))
 

@@ -55,13 +55,8 @@ class PathOptions(SceneOptions, PlotOptions):
 def path(options: PathOptions) -> int:
     """Run the benchmark; returns the exit code."""
     packages = ("regrasp-gym", "jax", "numpy", "scipy", "mujoco", "coal", "ompl")
-    setting = {
-        "env": options.env,
-        "strategy": options.strategy,
-        "random_pairs": options.random_pairs,
-        "time_limit": options.time_limit,
-        "versions": package_versions(("regrasp-gym", "coal", "ompl")),
-    }
+    setting = options.values("env", "strategy", "random_pairs", "time_limit")
+    setting |= {"versions": package_versions(("regrasp-gym", "coal", "ompl"))}
     return run_benchmark(options, setting, options.seeds, _prepare, summarise, Presentation(_show, _paint, 2, packages))
 
 

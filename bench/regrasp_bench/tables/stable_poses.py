@@ -69,13 +69,8 @@ class StablePosesOptions(PlotOptions):
 
 def stable_poses(options: StablePosesOptions) -> int:
     """Run the benchmark; returns the exit code."""
-    setting: Record = {
-        "benchmark": "stable-poses",
-        "version": version("regrasp-gym"),
-        "hulls": options.hulls,
-        "drops": options.drops,
-        "repeats": options.repeats,
-    }
+    setting = {"benchmark": "stable-poses", "version": version("regrasp-gym")}
+    setting |= options.values("hulls", "drops", "repeats")
     trials = range(len(OBJECTS) + options.hulls + TIMED_HULLS)
     presentation = Presentation(_show, _paint, 2, ("regrasp-gym", "jax", "numpy", "scipy", "trimesh", "mujoco"))
     return run_benchmark(options, setting, trials, _prepare, summarise, presentation, "stable poses")

@@ -50,14 +50,14 @@ def test_what_is_put_somewhere_is_seen_there() -> None:
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1))
 def test_arrows_point_where_they_should(vector: list[float]) -> None:
     direction = np.array(vector) / np.linalg.norm(vector)
-    pose = studio.along(direction, np.array([1.0, 2.0, 3.0]))
+    pose = studio.pose_along(direction, np.array([1.0, 2.0, 3.0]))
     turn = Rotation.from_quat(pose[:4], scalar_first=True)
     assert turn.apply([0, 0, 1]) == pytest.approx(direction, abs=1e-6)
     assert pose[4:].tolist() == [1, 2, 3]
 
 
 def test_an_arrow_straight_down() -> None:
-    pose = studio.along(np.array([0.0, 0.0, -1.0]), np.zeros(3))
+    pose = studio.pose_along(np.array([0.0, 0.0, -1.0]), np.zeros(3))
     assert Rotation.from_quat(pose[:4], scalar_first=True).apply([0, 0, 1]) == pytest.approx([0, 0, -1])
 
 
@@ -80,10 +80,10 @@ def test_sheets_captions_and_margins() -> None:
     assert named.shape == (40, 30, 3)
     assert (named[:20] == dark).all()
     assert (named[20:] < 100).any()
-    assert studio.trimmed(sheet, margin=0).shape == sheet.shape
+    assert studio.cropped(sheet, margin=0).shape == sheet.shape
     framed = np.full((50, 60, 3), 255, np.uint8)
     framed[10:30, 20:50] = dark
-    assert studio.trimmed(framed, margin=5).shape == (30, 40, 3)
+    assert studio.cropped(framed, margin=5).shape == (30, 40, 3)
 
 
 def test_files_are_small_and_hold_the_picture(tmp_path: Path) -> None:
