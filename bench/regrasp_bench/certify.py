@@ -22,7 +22,7 @@ from regrasp_gym.reports.command_line import run_command
 from regrasp_gym.reports.files import read_lines, write_text
 from regrasp_gym.reports.report import Record, machine, package_versions, write_report
 from regrasp_gym.reports.trials import Trial, crashes, print_crashes, run_trials
-from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.seeds import FIRST_SEED, SPLITS, split_of
 
 ENV = "regrasp_gym/PandaYCB-v0"
