@@ -15,8 +15,9 @@ from regrasp_bench.peers.coal_checker import ExactChecker
 if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv
     from regrasp_planner import Robot, Task, Trajectory
-    from regrasp_planner.collision.model import CollisionModel
-    from regrasp_planner.path.path_plan import PathOptions, PathResult
+    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.path_plan import PathResult
+    from regrasp_planner.path.space import ConfigurationSpace
 
 KINDS = ("planned", "planned, holding", "random", "random, holding")
 _ATTEMPTS = 1000
@@ -28,17 +29,15 @@ class Query:
 
     Attributes:
         kind: one of `KINDS`.
-        model: bodies and pairs.
+        space: bodies, pairs and finger coordinate.
         start, goal: (n,) configurations, radians.
-        theta: finger coordinate.
         options: of PathPlan.
     """
 
     kind: str
-    model: CollisionModel
+    space: ConfigurationSpace
     start: Float[np.ndarray, " n"]
     goal: Float[np.ndarray, " n"]
-    theta: float
     options: PathOptions
 
 
@@ -47,13 +46,11 @@ class Line:
     """A straight line of the gripper that PathPlan found, from a grasp.
 
     Attributes:
-        model: bodies and pairs.
-        theta: finger coordinate.
+        space: bodies, pairs and finger coordinate.
         trajectory: the motion.
     """
 
-    model: CollisionModel
-    theta: float
+    space: ConfigurationSpace
     trajectory: Trajectory
 
 
@@ -67,7 +64,7 @@ def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
 @contextmanager
 def _listening() -> Generator[tuple[list[Query], list[Line]]]:
     """Take down what the planner asks of PathPlan."""
-    from regrasp_planner.path.path_plan import PathOptions
+    from regrasp_planner.path.options import PathOptions
     from regrasp_planner.stages import motion as stage_motion
 
     queries: list[Query] = []
@@ -75,27 +72,25 @@ def _listening() -> Generator[tuple[list[Query], list[Line]]]:
     plan_path, cartesian_path = stage_motion.plan_path, stage_motion.cartesian_path
 
     def hear_path(
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
-        theta: float,
         options: PathOptions | None = None,
         seed: int = 0,
     ) -> PathResult:
-        kind = "planned, holding" if "held" in model.body_names else "planned"
-        queries.append(Query(kind, model, start, goal, theta, options or PathOptions()))
-        return plan_path(model, start, goal, theta, options, seed)
+        kind = "planned, holding" if "held" in space.model.body_names else "planned"
+        queries.append(Query(kind, space, start, goal, options or PathOptions()))
+        return plan_path(space, start, goal, options, seed)
 
     def hear_line(
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
-        theta: float,
         options: PathOptions | None = None,
     ) -> PathResult:
-        result = cartesian_path(model, start, displacement, theta, options)
+        result = cartesian_path(space, start, displacement, options)
         if result.trajectory is not None:
-            lines.append(Line(model, theta, result.trajectory))
+            lines.append(Line(space, result.trajectory))
         return result
 
     stage_motion.plan_path, stage_motion.cartesian_path = hear_path, hear_line
@@ -111,7 +106,8 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     There are ``count`` of either kind, or fewer where that many tries do not find them.
     """
     from regrasp_planner.grasp.grasp_gen import generate_grasps
-    from regrasp_planner.path.path_plan import PathOptions
+    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.space import ConfigurationSpace
     from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
 
     surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
@@ -119,16 +115,16 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
     if grasps:
         worlds.append(("random, holding", surroundings.holding(grasps[0]), float(grasps[0].theta)))
-    lower, upper = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
     queries: list[Query] = []
     for kind, model, theta in worlds:
+        space = ConfigurationSpace(model, theta)
         checker = ExactChecker(model, theta)
         found: list[Query] = []
         for _ in range(_ATTEMPTS):
             if len(found) == count:
                 break
-            start, goal = rng.uniform(lower, upper, (2, robot.arm.dof))
+            start, goal = rng.uniform(space.lower, space.upper, (2, robot.arm.dof))
             if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
-                found.append(Query(kind, model, start, goal, theta, PathOptions()))
+                found.append(Query(kind, space, start, goal, PathOptions()))
         queries += found
     return queries

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from regrasp_planner.collision.model import CollisionModel
 from regrasp_planner.grasp.grasp import Grasp
 from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
 from regrasp_planner.stages.plan import Failure, Reason, Segment, SegmentKind, Stage, StageKind
@@ -199,11 +200,10 @@ class StageMotion:
         theta: float,
     ) -> Trajectory | PathResult:
         """The first straight line from q that works, or why the last did not."""
+        space = ConfigurationSpace(model, theta)
         result: PathResult | None = None
         for displacement in displacements:
-            result = self.clock.time(
-                "path_plan", lambda d=displacement: cartesian_path(model, q, d, theta, self.options.path)
-            )
+            result = self.clock.time("path_plan", lambda d=displacement: cartesian_path(space, q, d, self.options.path))
             if result.trajectory is not None:
                 return result.trajectory
         assert result is not None
@@ -213,7 +213,8 @@ class StageMotion:
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``, its time taken down."""
-        return self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, self.options.path, self.seed))
+        space = ConfigurationSpace(model, theta)
+        return self.clock.time("path_plan", lambda: plan_path(space, start, goal, self.options.path, self.seed))
 
 
 def _unreachable(kind: StageKind, ends: Ends) -> Failure:
