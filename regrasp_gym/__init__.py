@@ -33,8 +33,8 @@ def _register() -> None:
     entries = {
         "PandaYCB-v0": ("panda_ycb:PandaYCBEnv", 1000),
         "PandaYCBLift-v0": ("panda_lift:PandaYCBLiftEnv", 150),
-        "PandaYCBDirect-v0": ("panda_tasks:PandaYCBDirectEnv", 1000),
-        "PandaYCBRegrasp-v0": ("panda_tasks:PandaYCBRegraspEnv", 1000),
+        "PandaYCBDirect-v0": ("panda_certified:PandaYCBDirectEnv", 1000),
+        "PandaYCBRegrasp-v0": ("panda_certified:PandaYCBRegraspEnv", 1000),
         "ExcavatorStones-v0": ("excavator_stones:ExcavatorStonesEnv", 2000),
     }
     for name, (entry_point, steps) in entries.items():

@@ -7,6 +7,7 @@ import json
 import pickle
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import tyro
+from jaxtyping import UInt8
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -31,6 +33,7 @@ from regrasp_datasets.features import (
 from regrasp_datasets.quiet import quiet_environment, quiet_lerobot
 from regrasp_datasets.records import DatasetError, EpisodeRecord, read_episodes, require_dataset, versions
 from regrasp_datasets.rollout import RolloutConfig, RolloutError, digest_of, make_env, make_expert
+from regrasp_gym.rendering.film import write_film
 
 
 @dataclass(frozen=True)
@@ -211,18 +214,18 @@ def film_episode(root: Path, record: EpisodeRecord, path: Path) -> None:
         record: of the episode.
         path: file to write; its folder is made.
     """
-    import imageio.v2 as imageio
-
     frames = EpisodeReader(root).read(record.episode_index)
     env = replay_env(record, render_mode="rgb_array")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
+
+    def pictures() -> Iterator[UInt8[np.ndarray, "H W 3"]]:
         env.reset(seed=record.seed)
-        with imageio.get_writer(path, fps=env.metadata["render_fps"], codec="libx264", macro_block_size=1) as writer:
-            writer.append_data(_picture(env))  # type: ignore[attr-defined]
-            for action in frames.action:
-                env.step(action)
-                writer.append_data(_picture(env))  # type: ignore[attr-defined]
+        yield _picture(env)
+        for action in frames.action:
+            env.step(action)
+            yield _picture(env)
+
+    try:
+        write_film(path, pictures(), env.metadata["render_fps"])
     finally:
         env.close()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.expert.expert import PlannerExpert
+from regrasp_gym.rendering.film import write_film
 from regrasp_gym.scenes.scene import Pose
 from regrasp_planner import Grasp, Plan, SegmentKind, Stage, Trajectory
 from regrasp_planner.pose import rigid, wxyz_xyz
@@ -57,14 +57,14 @@ def save_execution(env: RegraspEnv, expert: PlannerExpert, path: Path, *, camera
         path: an .mp4 file (H.264), written at the environment's frame rate.
         camera: camera of the film.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    rate = round(1 / env.scenario.control_period)
-    writer: Any = imageio.get_writer(path, fps=rate, codec="libx264", macro_block_size=2)
-    with writer as film:
-        film.append_data(env.picture(camera, *env.render_size))
+
+    def pictures() -> Iterator[Picture]:
+        yield env.picture(camera, *env.render_size)
         while (action := expert.act()) is not None:
             env.step(action)
-            film.append_data(env.picture(camera, *env.render_size))
+            yield env.picture(camera, *env.render_size)
+
+    write_film(path, pictures(), round(1 / env.scenario.control_period))
     return env.is_success
 
 

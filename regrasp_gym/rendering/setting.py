@@ -92,7 +92,9 @@ SITE = Setting(
 """A building site of some 20 m in the open."""
 
 
-def dress(spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float, setting: Setting = TABLE_TOP) -> None:
+def add_visuals(
+    spec: mujoco.MjSpec, cameras: Iterable[Camera], floor_height: float, setting: Setting = TABLE_TOP
+) -> None:
     """Add light, sky, floor, materials and cameras to a specification, in place.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_gym.errors import SceneError, StateError
-from regrasp_gym.rendering.setting import GOAL_GROUP, GOAL_RGBA, dress
+from regrasp_gym.rendering.setting import GOAL_GROUP, GOAL_RGBA, add_visuals
 from regrasp_gym.scenes.scene import Fixture, Pose, Scene
 from regrasp_gym.simulation import physics
 from regrasp_gym.simulation.scenario import RobotSetup, Scenario
@@ -34,7 +34,7 @@ def base_spec(scenario: Scenario, *, buffer_width: int, buffer_height: int) -> m
     """
     spec = scenario.robot.build_spec()
     physics.configure(spec)
-    dress(spec, scenario.cameras, scenario.floor_height, scenario.setting)
+    add_visuals(spec, scenario.cameras, scenario.floor_height, scenario.setting)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = buffer_width, buffer_height
     return spec
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import gymnasium as gym
 import tyro
@@ -20,6 +20,7 @@ from rich.table import Table
 
 from regrasp_datasets.quiet import quiet_environment
 from regrasp_datasets.rollout import make_env
+from regrasp_gym.rendering.film import write_film
 from regrasp_gym.reports.trials import Record, Trial, crashes, run_trials, wilson, write_report
 from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
 from regrasp_train.command_end import ended
@@ -150,7 +151,8 @@ def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None
     observation, info = env.reset(seed=seed)
     began = time.perf_counter()
     agent.reset(seed)
-    progress, pictures = Progress(), [env.render()] if video else []
+    progress = Progress()
+    pictures = [inner.picture(inner.render_camera, *inner.render_size)] if video else []
     steps, truncated = 0, False
     while not truncated and progress.reached is not Reached.PLACED:
         action = agent.act(observation)
@@ -160,9 +162,9 @@ def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None
         steps += 1
         progress.watch(inner)
         if video:
-            pictures.append(env.render())
+            pictures.append(inner.picture(inner.render_camera, *inner.render_size))
     if video:
-        _write_video(video, pictures, env.metadata["render_fps"])
+        write_film(video, pictures, env.metadata["render_fps"])
     success = progress.reached is Reached.PLACED
     return {
         "seed": seed,
@@ -216,15 +218,6 @@ def _prepare(setting: Record) -> Trial:
     env, agent = _made(setting)
     filmed, folder = setting.get("filmed", ()), Path(setting.get("videos", ""))
     return lambda seed: run_episode(env, agent, seed, folder / f"scene-{seed}.mp4" if seed in filmed else None)
-
-
-def _write_video(path: Path, pictures: Sequence[Any], fps: int) -> None:
-    import imageio.v2 as imageio
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with imageio.get_writer(path, fps=fps, codec="libx264", macro_block_size=1) as writer:
-        for picture in pictures:
-            writer.append_data(picture)  # type: ignore[attr-defined]
 
 
 def _show(summary: Record) -> None:

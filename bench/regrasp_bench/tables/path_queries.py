@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -56,48 +54,45 @@ class Line:
 
 def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
     """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
-    with _listening() as heard:
-        env.plan(strategy)
-    return heard
+    from regrasp_planner import plan
+
+    recorder = _Recorder()
+    plan(env.task(), env.planner_robot, strategy, options=env.plan_options(), observer=recorder)
+    return recorder.queries, recorder.lines
 
 
-@contextmanager
-def _listening() -> Generator[tuple[list[Query], list[Line]]]:
-    """Take down what the planner asks of PathPlan."""
-    from regrasp_planner.path.options import PathOptions
-    from regrasp_planner.stages import motion as stage_motion
+class _Recorder:
+    """A `regrasp_planner.stages.motion.PathObserver` that keeps all path queries and all lines found."""
 
-    queries: list[Query] = []
-    lines: list[Line] = []
-    plan_path, cartesian_path = stage_motion.plan_path, stage_motion.cartesian_path
+    def __init__(self) -> None:
+        self.queries: list[Query] = []
+        self.lines: list[Line] = []
 
-    def hear_path(
+    def on_path(
+        self,
         space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
-        options: PathOptions | None = None,
-        seed: int = 0,
-    ) -> PathResult:
+        options: PathOptions,
+        result: PathResult,
+    ) -> None:
+        """Keep the query."""
+        del result
         kind = "planned, holding" if "held" in space.model.body_names else "planned"
-        queries.append(Query(kind, space, start, goal, options or PathOptions()))
-        return plan_path(space, start, goal, options, seed)
+        self.queries.append(Query(kind, space, start, goal, options))
 
-    def hear_line(
+    def on_line(
+        self,
         space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
-        options: PathOptions | None = None,
-    ) -> PathResult:
-        result = cartesian_path(space, start, displacement, options)
+        options: PathOptions,
+        result: PathResult,
+    ) -> None:
+        """Keep the line, if there is one."""
+        del start, displacement, options
         if result.trajectory is not None:
-            lines.append(Line(space, result.trajectory))
-        return result
-
-    stage_motion.plan_path, stage_motion.cartesian_path = hear_path, hear_line
-    try:
-        yield queries, lines
-    finally:
-        stage_motion.plan_path, stage_motion.cartesian_path = plan_path, cartesian_path
+            self.lines.append(Line(space, result.trajectory))
 
 
 def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:

@@ -18,8 +18,7 @@ from jaxtyping import Array, Float, Int
 from regrasp_planner.batching import bucket
 from regrasp_planner.collision.least_slack import least_slack
 from regrasp_planner.collision.model import CollisionArrays, CollisionModel, body_frames, gripper_pairs, pair_bounds
-from regrasp_planner.geometry.distance import separation
-from regrasp_planner.geometry.support import exact_support_value
+from regrasp_planner.geometry.distance import hull_gap, separation
 from regrasp_planner.robot.kinematics import forward_kinematics
 
 CONFIGURATION_BUCKETS = (64, 512)
@@ -77,12 +76,7 @@ def _selected_distances(
 ) -> Float[Array, " L"]:
     bodies_a, bodies_b = arrays.bodies[arrays.pairs[pairs, 0]], arrays.bodies[arrays.pairs[pairs, 1]]
     apart = separation(bodies_a, poses_a, bodies_b, poses_b)
-    # The hulls' own support functions in any direction bound their distance from below (`certified_distance`).
-    x = apart.direction
-    reach_a = exact_support_value(bodies_a, jaxlie.SO3(poses_a[:, :4]).inverse() @ x)
-    reach_b = exact_support_value(bodies_b, jaxlie.SO3(poses_b[:, :4]).inverse() @ -x)
-    certified = (x * (poses_b[:, 4:] - poses_a[:, 4:])).sum(-1) - reach_a - reach_b
-    return jnp.where(exact, certified, apart.distance)
+    return jnp.where(exact, hull_gap(apart.direction, bodies_a, poses_a, bodies_b, poses_b), apart.distance)
 
 
 def configuration_clearance(

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import jax
-import jaxlie
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import RigidTransform
 
 from regrasp_planner.batching import bucket_size
 from regrasp_planner.collision.least_slack import least_slack
-from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.hull import hull_planes
-from regrasp_planner.geometry.support import ConvexBody, exact_support_value
+from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.pose import rigid, wxyz_xyz
 
 VERTEX_BUCKETS = (16, 64)
@@ -109,17 +107,7 @@ def _distances(
     result = np.zeros(len(a))
     for begin in range(0, len(a), CHUNK):
         some = begin + np.minimum(np.arange(CHUNK), len(a) - begin - 1)
-        gaps = _certified(first[a[some]], poses_a[some], second[b[some]], poses_b[some])
+        # One local maximum is enough: how deep bodies overlap does not matter.
+        gaps = certified_distance(first[a[some]], poses_a[some], second[b[some]], poses_b[some], thorough=False)
         result[begin : begin + CHUNK] = np.asarray(gaps)[: len(a) - begin]
     return result
-
-
-@jax.jit
-def _certified(
-    bodies_a: ConvexBody, poses_a: Float[Array, "L 7"], bodies_b: ConvexBody, poses_b: Float[Array, "L 7"]
-) -> Float[Array, " L"]:
-    """As `certified_distance`, but content with one local maximum: of bodies that overlap it need not tell how far."""
-    x = separation(bodies_a, poses_a, bodies_b, poses_b, thorough=False).direction
-    reach_a = exact_support_value(bodies_a, jaxlie.SO3(poses_a[:, :4]).inverse() @ x)
-    reach_b = exact_support_value(bodies_b, jaxlie.SO3(poses_b[:, :4]).inverse() @ -x)
-    return (x * (poses_b[:, 4:] - poses_a[:, 4:])).sum(-1) - reach_a - reach_b

@@ -94,20 +94,34 @@ def contact_direction(
     return _single(body_a, pose_a, body_b, pose_b).direction[0]
 
 
-@jax.jit
-def certified_distance(
-    bodies_a: ConvexBody, poses_a: Pose7, bodies_b: ConvexBody, poses_b: Pose7, x0: Float[Array, "N 3"] | None = None
+def hull_gap(
+    x: Float[Array, "N 3"], bodies_a: ConvexBody, poses_a: Pose7, bodies_b: ConvexBody, poses_b: Pose7
 ) -> Float[Array, " N"]:
-    """Lower bound (N,) of the signed distance of the swept hulls themselves, metres.
+    """Gap (N,) of the swept hulls themselves along unit directions x from A to B, metres.
 
-    The support functions of the hulls, evaluated at any direction, give such a bound; it is taken at the contact
-    normal of the DSF, where it is tight to second order in the difference of the normals. Arguments as in `separation`.
+    Along any direction it is a lower bound of the signed distance. At a contact normal of the DSF the bound is tight to
+    second order in the error of the normal.
     """
-    x = separation(bodies_a, poses_a, bodies_b, poses_b, x0).direction
-    rotation_a, rotation_b = jaxlie.SO3(poses_a[:, :4]), jaxlie.SO3(poses_b[:, :4])
-    reach_a = exact_support_value(bodies_a, rotation_a.inverse() @ x)
-    reach_b = exact_support_value(bodies_b, rotation_b.inverse() @ -x)
-    return (x * (poses_b[:, 4:] - poses_a[:, 4:])).sum(-1) - reach_a - reach_b
+    support_a = exact_support_value(bodies_a, jaxlie.SO3(poses_a[:, :4]).inverse() @ x)
+    support_b = exact_support_value(bodies_b, jaxlie.SO3(poses_b[:, :4]).inverse() @ -x)
+    return (x * (poses_b[:, 4:] - poses_a[:, 4:])).sum(-1) - support_a - support_b
+
+
+@partial(jax.jit, static_argnames="thorough")
+def certified_distance(
+    bodies_a: ConvexBody,
+    poses_a: Pose7,
+    bodies_b: ConvexBody,
+    poses_b: Pose7,
+    x0: Float[Array, "N 3"] | None = None,
+    thorough: bool = True,
+) -> Float[Array, " N"]:
+    """Lower bound (N,) of the signed distance of the swept hulls, metres: `hull_gap` along the contact normal.
+
+    Arguments as in `separation`.
+    """
+    x = separation(bodies_a, poses_a, bodies_b, poses_b, x0, thorough).direction
+    return hull_gap(x, bodies_a, poses_a, bodies_b, poses_b)
 
 
 def _single(body_a: ConvexBody, pose_a: jaxlie.SE3, body_b: ConvexBody, pose_b: jaxlie.SE3) -> Separation:

@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from regrasp_planner.geometry.distance import separation
+from regrasp_planner.geometry.distance import hull_gap, separation
 from regrasp_planner.geometry.hull import hull_planes
-from regrasp_planner.geometry.support import ConvexBody, exact_support_value
+from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.robot.model import Gripper
 
 STEPS = 2
@@ -289,8 +289,7 @@ def _close(
         poses = (hand @ jaxlie.SE3.exp(_twice(theta)[:, None] * screw)).wxyz_xyz
         apart = separation(pieces, still, pad, poses, state.normals, thorough=False)
         x = apart.direction
-        reach = exact_support_value(pieces, x) + exact_support_value(pad, jaxlie.SO3(poses[:, :4]).inverse() @ -x)
-        gaps = (x * poses[:, 4:]).sum(-1) - reach
+        gaps = hull_gap(x, pieces, still, pad, poses)
         # Velocity of the pad's contact by θ: v + ω × r in the gripper frame.
         arm = hand.inverse() @ apart.point_b
         velocity = hand.rotation() @ (screw[:, :3] + jnp.cross(screw[:, 3:], arm))

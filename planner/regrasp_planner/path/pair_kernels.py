@@ -12,8 +12,8 @@ from jaxtyping import Array, Float, Int
 
 from regrasp_planner.collision.model import CollisionArrays, CollisionModel, body_frames
 from regrasp_planner.geometry.boxes import box_bounds
-from regrasp_planner.geometry.distance import separation
-from regrasp_planner.geometry.support import ConvexBody, exact_support_value
+from regrasp_planner.geometry.distance import hull_gap, separation
+from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.robot.kinematics import forward_kinematics
 
 _ROUNDING = 2e-6
@@ -101,9 +101,7 @@ def measure_pairs(
     # One local maximum is enough: overlapping pairs are only ever pushed apart, and near contact there is one.
     found = separation(body_a, pose_a, body_b, pose_b, thorough=False)
     x = found.direction
-    reach_a = exact_support_value(body_a, jaxlie.SO3(pose_a[:, :4]).inverse() @ x)
-    reach_b = exact_support_value(body_b, jaxlie.SO3(pose_b[:, :4]).inverse() @ -x)
-    certified = (x * (pose_b[:, 4:] - pose_a[:, 4:])).sum(-1) - reach_a - reach_b
+    certified = hull_gap(x, body_a, pose_a, body_b, pose_b)
     # A joint moves the second body (+) or the first (−), and its witness point with it.
     witness = jnp.where(sign[..., None] > 0, found.point_b[:, None], found.point_a[:, None])
     gradient = sign * (jnp.cross(joints.axis, witness - joints.point) * x[:, None]).sum(-1)

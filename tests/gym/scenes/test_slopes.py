@@ -14,7 +14,7 @@ from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.stones import StoneConfig, stone
 from regrasp_gym.rendering.materials import MATERIALS
 from regrasp_gym.rendering.renderer import SceneRenderer
-from regrasp_gym.rendering.setting import SITE, TABLE_TOP, Camera, dress
+from regrasp_gym.rendering.setting import SITE, TABLE_TOP, Camera
 from regrasp_gym.scenes.scene import PlacedObject, Scene
 from regrasp_gym.scenes.slope_resting import SHORTEST_EDGE, clearance, seats, slide_apart
 from regrasp_gym.scenes.slopes import make_scene
@@ -368,7 +368,7 @@ def test_sliding_apart_leaves_exactly_the_gap(seed) -> None:
 def compiled(scene, target_pose, cameras=()):
     spec = mujoco.MjSpec()
     physics.configure(spec)
-    dress(spec, cameras, -0.05, SITE)
+    add_visuals(spec, cameras, -0.05, SITE)
     for box in scene.fixtures:
         add_fixture(spec, box)
     for thing in (PlacedObject(scene.target.model, target_pose), *scene.others):
