@@ -143,7 +143,7 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
 
 
 def _compare(query: PathQuery, time_limit: float, ours_first: bool) -> Record:
-    checker = ExactChecker(query.model, query.theta)
+    checker = ExactChecker(query.space.model, query.space.theta)
     free = checker.free(np.stack([query.start, query.goal]))
     record: Record = {"kind": query.kind, "free_ends": free}
     planners = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
@@ -156,7 +156,7 @@ def _compare(query: PathQuery, time_limit: float, ours_first: bool) -> Record:
 
 def _check_line(line: CartesianPath) -> Record:
     """Collisions on a straight line. The end at the grasp may be in contact; no contact may become deeper than that."""
-    checker = ExactChecker(line.model, line.theta)
+    checker = ExactChecker(line.space.model, line.space.theta)
     touching = np.maximum(-checker.clearances(line.trajectory.start[None])[0], 0.0)
     allowed = np.where(touching > 0, touching + _TOUCH, 0.0)
     collisions = checker.collisions(_by_share(line.trajectory), allowed)
@@ -166,7 +166,7 @@ def _check_line(line: CartesianPath) -> Record:
 def _ours(query: PathQuery, checker: ExactChecker) -> Record:
     from regrasp_planner.path.path_plan import plan_path
 
-    solve = partial(plan_path, query.model, query.start, query.goal, query.theta, query.options)
+    solve = partial(plan_path, query.space, query.start, query.goal, query.options)
     # The first call compiles. Both have the same result, but for the times.
     solve()
     result = solve()

@@ -18,7 +18,7 @@ def test_rrt_connect_goes_round_what_is_in_the_way(world: Any) -> None:
     queries = random_queries(task, robot, 2, np.random.default_rng(0))
     assert [query.kind for query in queries] == ["random"] * 2 + ["random, holding"] * 2
     for query in queries:
-        checker = ExactChecker(query.model, query.theta)
+        checker = ExactChecker(query.space.model, query.space.theta)
         assert checker.free(np.stack([query.start, query.goal]))
         assert checker.collisions(polyline(np.stack([query.start, query.goal])))
         result = rrt_connect(checker, query.start, query.goal, time_limit=20.0)
@@ -38,7 +38,7 @@ def test_rrt_connect_gives_up_in_time(world: Any) -> None:
         def free(self, q: np.ndarray) -> bool:
             return bool(np.minimum(np.abs(q - query.start).sum(1), np.abs(q - query.goal).sum(1)).max() < 1e-6)
 
-    checker = Nowhere(query.model, query.theta)
+    checker = Nowhere(query.space.model, query.space.theta)
     result = rrt_connect(checker, query.start, query.goal, time_limit=0.2)
     assert result.waypoints is None
     assert 0.1 < result.seconds < 5.0
