@@ -9,17 +9,46 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
 from regrasp_planner.grasp.grasp import Grasp
+from regrasp_planner.path.options import PathOptions
 from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
 from regrasp_planner.stages.plan import Failure, Reason, Segment, SegmentKind, Stage, StageKind
 from regrasp_planner.stages.surroundings import Clock, Ends, Surroundings
+
+
+class PathObserver(Protocol):
+    """Told of every query of PathPlan and its result. Lengths are at the planner's scale (`stages.scale`)."""
+
+    def on_path(
+        self,
+        space: ConfigurationSpace,
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        options: PathOptions,
+        result: PathResult,
+    ) -> None:
+        """After `plan_path`, with its arguments."""
+        ...
+
+    def on_line(
+        self,
+        space: ConfigurationSpace,
+        start: Float[np.ndarray, " n"],
+        displacement: Float[np.ndarray, " 3"],
+        options: PathOptions,
+        result: PathResult,
+    ) -> None:
+        """After `cartesian_path`, with its arguments."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -73,8 +102,8 @@ class Reaches:
 class StageMotion:
     """Finds the motion of stages. What was found out about one end of a stage is kept for the next call."""
 
-    def __init__(self, surroundings: Surroundings, clock: Clock, seed: int):
-        self.surroundings, self.clock, self.seed = surroundings, clock, seed
+    def __init__(self, surroundings: Surroundings, clock: Clock, seed: int, observer: PathObserver | None = None):
+        self.surroundings, self.clock, self.seed, self.observer = surroundings, clock, seed, observer
         self.options = surroundings.options
         self._axis = np.asarray(surroundings.robot.gripper.approach_axis)
 
@@ -199,11 +228,12 @@ class StageMotion:
         theta: float,
     ) -> Trajectory | PathResult:
         """The first straight line from q that works, or why the last did not."""
+        space = ConfigurationSpace(model, theta)
         result: PathResult | None = None
         for displacement in displacements:
-            result = self.clock.time(
-                "path_plan", lambda d=displacement: cartesian_path(model, q, d, theta, self.options.path)
-            )
+            result = self.clock.time("path_plan", lambda d=displacement: cartesian_path(space, q, d, self.options.path))
+            if self.observer is not None:
+                self.observer.on_line(space, q, displacement, self.options.path, result)
             if result.trajectory is not None:
                 return result.trajectory
         assert result is not None
@@ -213,7 +243,11 @@ class StageMotion:
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``, its time taken down."""
-        return self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, self.options.path, self.seed))
+        space, options = ConfigurationSpace(model, theta), self.options.path
+        result = self.clock.time("path_plan", lambda: plan_path(space, start, goal, options, self.seed))
+        if self.observer is not None:
+            self.observer.on_path(space, start, goal, options, result)
+        return result
 
 
 def _unreachable(kind: StageKind, ends: Ends) -> Failure:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from regrasp_planner.grasp.grasp import Grasp
 from regrasp_planner.grasp.sampling import sample_grasps
 from regrasp_planner.robot.model import Robot
+from regrasp_planner.stages.motion import PathObserver
 from regrasp_planner.stages.plan import Failure, Phase, Plan, PlanStats, Reason, Stage, StageKind, Strategy
 from regrasp_planner.stages.regrasp import RegraspSearch
 from regrasp_planner.stages.scale import grown, scaled_grasp, shrink_factor, shrunk
@@ -25,6 +26,7 @@ def plan(
     seed: int = 0,
     options: PlanOptions | None = None,
     known_grasps: Sequence[Grasp] = (),
+    observer: PathObserver | None = None,
 ) -> Plan:
     """Plan the task.
 
@@ -35,6 +37,7 @@ def plan(
         seed: of the random starts; the same seed gives the same plan.
         options: see `PlanOptions`; its lengths are for a gripper that opens 80 mm, and grow with the gripper.
         known_grasps: grasps tried for the whole way before any are generated, such as those of an earlier plan.
+        observer: told of every path query and its result, such as to record them.
 
     Returns:
         `Plan`, with ``failure`` set where there is none.
@@ -49,7 +52,7 @@ def plan(
     except ValueError as error:
         return Plan(False, Failure(Reason.BAD_INPUT, "", "", str(error)), (), strategy, PlanStats(), seed)
     factor = shrink_factor(robot)
-    stages = StageSearch(*shrunk(task, robot), seed, options or PlanOptions())
+    stages = StageSearch(*shrunk(task, robot), seed, options or PlanOptions(), observer)
     known_grasps = [scaled_grasp(grasp, factor) for grasp in known_grasps]
     phases: list[Phase] = []
     outcome: tuple[Stage, ...] | Failure | None = None

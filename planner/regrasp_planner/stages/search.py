@@ -16,7 +16,7 @@ from regrasp_planner.grasp.sampling import SamplingOptions
 from regrasp_planner.ik.ik_solve import Reachability, within_reach
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot.model import Robot
-from regrasp_planner.stages.motion import Reaches, StageMotion
+from regrasp_planner.stages.motion import PathObserver, Reaches, StageMotion
 from regrasp_planner.stages.plan import Failure, Reason, Stage, StageKind
 from regrasp_planner.stages.surroundings import Clock, Ends, MotionOptions, Surroundings, flipped, solve_ends
 from regrasp_planner.task import Scene, Task
@@ -70,6 +70,7 @@ class StageSearch:
         robot: arm, gripper and their bodies.
         seed: of the random starts.
         options: see `PlanOptions`.
+        observer: told of every path query.
 
     Attributes:
         clock: seconds spent by module.
@@ -78,11 +79,13 @@ class StageSearch:
         sampled: grasps evaluated by the sampling baseline.
     """
 
-    def __init__(self, task: Task, robot: Robot, seed: int, options: PlanOptions) -> None:
+    def __init__(
+        self, task: Task, robot: Robot, seed: int, options: PlanOptions, observer: PathObserver | None = None
+    ) -> None:
         self.task, self.robot, self.seed, self.options = task, robot, seed, options
         self.clock = Clock()
         self.surroundings = Surroundings(robot, task.target, task.pick.obstacles, options.motion)
-        self.motion = StageMotion(self.surroundings, self.clock, seed)
+        self.motion = StageMotion(self.surroundings, self.clock, seed, observer)
         self.searches: list[GraspSearch] = []
         self.sampled = 0
         self._looked: dict[tuple[bytes, bool], dict[bytes, int]] = {}
