@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from regrasp_planner.geometry.distance import Separation, separation
 from regrasp_planner.geometry.support import ConvexBody, support_value
 from regrasp_planner.grasp.problem import GraspProblem
-from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
+from regrasp_planner.optim.augmented_lagrangian import Options, Stall, augmented_lagrangian
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 
 
@@ -153,22 +153,23 @@ def refine(
     """
     manifold = Product((SE3(length=length), Euclidean(1)))
     count = _clearance_count(problem)
+    options = Options(
+        max_evaluations,
+        max_inner=6,
+        constraint_tolerance=2e-3,
+        gradient_tolerance=1e-3,
+        stall=Stall(1e-3, 2),
+        initial_penalty=20.0,
+    )
 
     def one(pose: Array, theta: Array, part: Array, planes: Array) -> tuple[Array, GraspScore, Array]:
         result = augmented_lagrangian(
             grasp_objective,
             (pose, theta),
             manifold,
+            options,
             params=replace(problem, part=part, grounds=planes),
             counts=(2, count + 3),
-            max_evaluations=max_evaluations,
-            max_inner=6,
-            constraint_tolerance=2e-3,
-            gradient_tolerance=1e-3,
-            initial_penalty=20.0,
-            initial_radius=0.3,
-            stall_decrease=1e-3,
-            stall_steps=2,
         )
         score = _score(result.value, result.equalities, result.inequalities, result.point[1], problem)
         return result.point[0], score, result.evaluations
