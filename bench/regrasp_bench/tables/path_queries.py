@@ -13,50 +13,47 @@ from regrasp_bench.peers.coal_checker import ExactChecker
 if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv
     from regrasp_planner import Robot, Task, Trajectory
-    from regrasp_planner.collision.model import CollisionModel
-    from regrasp_planner.path.path_plan import PathOptions, PathResult
+    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.path_plan import PathResult
+    from regrasp_planner.path.space import ConfigurationSpace
 
 KINDS = ("planned", "planned, holding", "random", "random, holding")
 _ATTEMPTS = 1000
 
 
 @dataclass(frozen=True)
-class Query:
+class PathQuery:
     """One path query.
 
     Attributes:
         kind: one of `KINDS`.
-        model: bodies and pairs.
+        space: bodies, pairs and finger coordinate.
         start, goal: (n,) configurations, radians.
-        theta: finger coordinate.
-        options: of PathPlan.
+        options: options of PathPlan.
     """
 
     kind: str
-    model: CollisionModel
+    space: ConfigurationSpace
     start: Float[np.ndarray, " n"]
     goal: Float[np.ndarray, " n"]
-    theta: float
     options: PathOptions
 
 
 @dataclass(frozen=True)
-class Line:
-    """A straight line of the gripper that PathPlan found, from a grasp.
+class CartesianPath:
+    """A straight motion of the gripper from a grasp, as PathPlan found it.
 
     Attributes:
-        model: bodies and pairs.
-        theta: finger coordinate.
+        space: bodies, pairs and finger coordinate.
         trajectory: the motion.
     """
 
-    model: CollisionModel
-    theta: float
+    space: ConfigurationSpace
     trajectory: Trajectory
 
 
-def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
-    """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
+def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[PathQuery], list[CartesianPath]]:
+    """All path queries of one plan of a scene, answered or not, and all straight lines that the planner found."""
     from regrasp_planner import plan
 
     recorder = _Recorder()
@@ -68,45 +65,44 @@ class _Recorder:
     """A `regrasp_planner.stages.motion.PathObserver` that keeps all path queries and all lines found."""
 
     def __init__(self) -> None:
-        self.queries: list[Query] = []
-        self.lines: list[Line] = []
+        self.queries: list[PathQuery] = []
+        self.lines: list[CartesianPath] = []
 
     def on_path(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
         """Keep the query."""
         del result
-        kind = "planned, holding" if "held" in model.body_names else "planned"
-        self.queries.append(Query(kind, model, start, goal, theta, options))
+        kind = "planned, holding" if "held" in space.model.body_names else "planned"
+        self.queries.append(PathQuery(kind, space, start, goal, options))
 
     def on_line(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
         """Keep the line, if there is one."""
         del start, displacement, options
         if result.trajectory is not None:
-            self.lines.append(Line(model, theta, result.trajectory))
+            self.lines.append(CartesianPath(space, result.trajectory))
 
 
-def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:
-    """Random pairs of free configurations with something in between, with an empty hand and with the target in it.
+def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[PathQuery]:
+    """Random pairs of free configurations with an obstacle between, with an empty gripper and with the target in it.
 
-    There are ``count`` of either kind, or fewer where that many tries do not find them.
+    There are ``count`` of each kind, or fewer if `_ATTEMPTS` do not find them.
     """
     from regrasp_planner.grasp.grasp_gen import generate_grasps
-    from regrasp_planner.path.path_plan import PathOptions
+    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.space import ConfigurationSpace
     from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
 
     surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
@@ -114,16 +110,16 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
     if grasps:
         worlds.append(("random, holding", surroundings.holding(grasps[0]), float(grasps[0].theta)))
-    lower, upper = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
-    queries: list[Query] = []
+    queries: list[PathQuery] = []
     for kind, model, theta in worlds:
+        space = ConfigurationSpace(model, theta)
         checker = ExactChecker(model, theta)
-        found: list[Query] = []
+        found: list[PathQuery] = []
         for _ in range(_ATTEMPTS):
             if len(found) == count:
                 break
-            start, goal = rng.uniform(lower, upper, (2, robot.arm.dof))
+            start, goal = rng.uniform(space.lower, space.upper, (2, robot.arm.dof))
             if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
-                found.append(Query(kind, model, start, goal, theta, PathOptions()))
+                found.append(PathQuery(kind, space, start, goal, PathOptions()))
         queries += found
     return queries

@@ -16,7 +16,9 @@ from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
 from regrasp_planner.grasp.grasp import Grasp
-from regrasp_planner.path.path_plan import PathOptions, PathResult, cartesian_path, plan_path
+from regrasp_planner.path.options import PathOptions
+from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
 from regrasp_planner.stages.plan import Failure, Reason, Segment, SegmentKind, Stage, StageKind
@@ -28,10 +30,9 @@ class PathObserver(Protocol):
 
     def on_path(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
@@ -40,10 +41,9 @@ class PathObserver(Protocol):
 
     def on_line(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
@@ -228,13 +228,12 @@ class StageMotion:
         theta: float,
     ) -> Trajectory | PathResult:
         """The first straight line from q that works, or why the last did not."""
+        space = ConfigurationSpace(model, theta)
         result: PathResult | None = None
         for displacement in displacements:
-            result = self.clock.time(
-                "path_plan", lambda d=displacement: cartesian_path(model, q, d, theta, self.options.path)
-            )
+            result = self.clock.time("path_plan", lambda d=displacement: cartesian_path(space, q, d, self.options.path))
             if self.observer is not None:
-                self.observer.on_line(model, q, displacement, theta, self.options.path, result)
+                self.observer.on_line(space, q, displacement, self.options.path, result)
             if result.trajectory is not None:
                 return result.trajectory
         assert result is not None
@@ -244,10 +243,10 @@ class StageMotion:
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``, its time taken down."""
-        options = self.options.path
-        result = self.clock.time("path_plan", lambda: plan_path(model, start, goal, theta, options, self.seed))
+        space, options = ConfigurationSpace(model, theta), self.options.path
+        result = self.clock.time("path_plan", lambda: plan_path(space, start, goal, options, self.seed))
         if self.observer is not None:
-            self.observer.on_path(model, start, goal, theta, options, result)
+            self.observer.on_path(space, start, goal, options, result)
         return result
 
 
