@@ -34,7 +34,7 @@ Goals = tuple[Float[np.ndarray, " 10"], Float[np.ndarray, " 10"]]
 
 @dataclass(frozen=True, eq=False)
 class EnvState:
-    """All that the future of an episode depends on, but for wrappers.
+    """Everything that the future of an episode depends on, wrappers excepted.
 
     Attributes:
         joints: names of the arm's joints.
@@ -249,7 +249,7 @@ class RegraspEnv(gymnasium.Env):
 
         Args:
             strategy: see `regrasp_planner.Strategy`.
-            seed: of the random starts.
+            seed: seed of the random starts.
             options: `plan_options` if None.
             known_grasps: tried before any are generated.
         """
