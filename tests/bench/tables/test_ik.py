@@ -20,7 +20,8 @@ from regrasp_bench.peers.mink_ik import MinkPeer, exhaustive_search, pose_errors
 from regrasp_bench.tables.ik import grasp_queries, ik, random_queries, summarise
 from regrasp_gym.reports.trials import read_records
 from regrasp_planner.collision.clearance import configuration_clearance
-from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+from regrasp_planner.stages.collision_models import CollisionModels
+from regrasp_planner.stages.options import MotionOptions
 
 THETA = 0.04
 
@@ -35,8 +36,8 @@ def world() -> Any:
 @pytest.fixture(scope="module")
 def checker(world: Any) -> ExactChecker:
     task = world.task()
-    surroundings = Surroundings(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
-    return ExactChecker(surroundings.empty_handed(task.pick.target_pose), THETA)
+    models = CollisionModels(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
+    return ExactChecker(models.empty_handed(task.pick.target_pose), THETA)
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +76,8 @@ def test_errors_are_what_brings_the_gripper_to_the_target(a: Any, b: Any, turn_a
 
 def test_margins_are_kept_where_the_planner_certifies_them(checker: ExactChecker, world: Any, limits: Any) -> None:
     task = world.task()
-    surroundings = Surroundings(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
-    model = surroundings.empty_handed(task.pick.target_pose)
+    models = CollisionModels(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
+    model = models.empty_handed(task.pick.target_pose)
     q = np.random.default_rng(2).uniform(*limits, (200, 7))
     kept = checker.keeps_margins(q)
     value = configuration_clearance(model, q, THETA, cap=0.02, exact=True).value

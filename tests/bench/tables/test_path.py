@@ -21,7 +21,8 @@ from regrasp_gym.reports.trials import read_records
 from regrasp_planner.collision.clearance import configuration_clearance
 from regrasp_planner.collision.model import body_frames
 from regrasp_planner.grasp.grasp_gen import Grasp
-from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+from regrasp_planner.stages.collision_models import CollisionModels
+from regrasp_planner.stages.options import MotionOptions
 
 THETA = 0.03
 
@@ -34,17 +35,17 @@ def world() -> Any:
 
 
 @pytest.fixture(scope="module")
-def surroundings(world: Any) -> Surroundings:
+def collision_models(world: Any) -> CollisionModels:
     task = world.task()
-    return Surroundings(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
+    return CollisionModels(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
 
 
 @pytest.fixture(scope="module", params=["empty", "holding"])
-def model(request: pytest.FixtureRequest, world: Any, surroundings: Surroundings) -> Any:
+def model(request: pytest.FixtureRequest, world: Any, collision_models: CollisionModels) -> Any:
     if request.param == "empty":
-        return surroundings.empty_handed(world.task().pick.target_pose)
+        return collision_models.empty_handed(world.task().pick.target_pose)
     pose = np.append(Rotation.from_euler("xyz", [0.3, 0.2, 1.0]).as_quat(scalar_first=True), [0.01, 0.0, 0.02])
-    return surroundings.holding(Grasp(pose, THETA, 0.04, 1.0, 0.0))
+    return collision_models.holding(Grasp(pose, THETA, 0.04, 1.0, 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +121,8 @@ def test_samples_are_near_enough_to_each_other(model: Any, world: Any) -> None:
     assert np.linalg.norm(np.diff(points, axis=0), axis=-1).max() <= BODY_STEP
 
 
-def test_a_path_through_something_is_caught(world: Any, surroundings: Surroundings) -> None:
-    model = surroundings.empty_handed(world.task().pick.target_pose)
+def test_a_path_through_something_is_caught(world: Any, collision_models: CollisionModels) -> None:
+    model = collision_models.empty_handed(world.task().pick.target_pose)
     checker = ExactChecker(model, THETA)
     home = np.asarray(world.planner_robot.home)
     down = home.copy()
