@@ -1,9 +1,13 @@
-"""Exceptions of the environments. Each message names the thing, its value and what to do about it."""
+"""Exceptions of this project other than the planner's. Each message names the thing, its value and the fix."""
 
 from __future__ import annotations
 
 
-class EnvError(Exception):
+class RegraspGymError(Exception):
+    """Base of every exception that environments, datasets, training and benchmarks raise on purpose."""
+
+
+class EnvError(RegraspGymError):
     """Base of every exception that the environments raise on purpose."""
 
 
@@ -29,3 +33,7 @@ class DisplayError(EnvError, RuntimeError):
 
 class BenchError(EnvError, RuntimeError):
     """A benchmark that cannot be run here: a peer is not installed, a worker died, a figure has nothing to show."""
+
+
+class MissingExtraError(RegraspGymError, ImportError):
+    """A command needs packages of an extra that is not installed."""

@@ -16,6 +16,7 @@ from regrasp_bench.tables.ik import ik
 from regrasp_bench.tables.modules import modules
 from regrasp_bench.tables.paper import table3, table4
 from regrasp_bench.tables.path import path
+from regrasp_bench.tables.plans import plans
 from regrasp_bench.tables.releases import releases
 from regrasp_bench.tables.simulation import simulation
 from regrasp_bench.tables.stable_poses import stable_poses
@@ -32,6 +33,7 @@ def main() -> None:
         "modules": modules,
         "path": path,
         "pictures": pictures,
+        "plans": plans,
         "releases": releases,
         "simulation": simulation,
         "stable-poses": stable_poses,

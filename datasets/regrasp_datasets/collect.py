@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
 import signal
 import sys
 import time
@@ -20,6 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from regrasp_datasets.quiet import quiet_environment
+from regrasp_gym.errors import RegraspGymError
+from regrasp_gym.reports.command_line import JsonFile, require_extra, run_command
+from regrasp_gym.reports.files import write_json
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,11 @@ class CollectOptions:
     """MP4 file for one of the episodes (the first with a regrasp), seen by the overview camera."""
     plan_picture: Path | None = None
     """Picture of the plan of that episode."""
-    json: Path | None = None
+    json_file: JsonFile = None
     """File for everything that is printed, as JSON."""
 
 
-class CollectError(Exception):
+class CollectError(RegraspGymError):
     """Options that contradict each other, or a collection that cannot go on. The message says what to do."""
 
 
@@ -80,18 +81,7 @@ def main() -> int:
     """Entry point of ``regrasp-collect``: 0 if the dataset is complete, 1 if not, 2 for wrong use, 130 for Ctrl-C."""
     options = tyro.cli(CollectOptions, prog="regrasp-collect", description=CollectOptions.__doc__)
     quiet_environment()
-    if importlib.util.find_spec("lerobot") is None:
-        print("regrasp-collect needs LeRobot: pip install 'regrasp-gym[lerobot]'", file=sys.stderr)
-        return 2
-    from regrasp_datasets.records import DatasetError
-    from regrasp_datasets.rollout import RolloutError
-    from regrasp_datasets.workers import WorkerError
-
-    try:
-        return collect(options)
-    except (CollectError, DatasetError, RolloutError, WorkerError) as error:
-        print(f"regrasp-collect: {error}", file=sys.stderr)
-        return 2
+    return run_command("regrasp-collect", lambda: collect(options), resume="go on with --resume")
 
 
 def collect(options: CollectOptions, console: Console | None = None) -> int:
@@ -108,6 +98,7 @@ def collect(options: CollectOptions, console: Console | None = None) -> int:
     from regrasp_datasets.selection import select
     from regrasp_datasets.workspace import Workspace
 
+    require_extra("regrasp-collect", "lerobot")
     console = console or Console()
     _check(options)
     started = time.perf_counter()
@@ -191,12 +182,12 @@ def _check(options: CollectOptions) -> None:
 
 
 def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
-    from regrasp_datasets.rollout import RolloutConfig
+    from regrasp_datasets.rollout import RolloutOptions
     from regrasp_datasets.selection import select
-    from regrasp_datasets.workers import WorkerConfig, WorkerPool
+    from regrasp_datasets.workers import WorkerOptions, WorkerPool
 
-    config = WorkerConfig(
-        rollout=RolloutConfig(options.env, env_kwargs_of(options), options.expert, options.strategy),
+    config = WorkerOptions(
+        rollout=RolloutOptions(options.env, env_kwargs_of(options), options.expert, options.strategy),
         shards=workspace.shards,
         logs=workspace.logs,
         plans=workspace.plans if options.plan_picture is not None else None,
@@ -343,8 +334,7 @@ def _report(
     for name in ("video", "plan_picture"):
         if name in pictured:
             console.print(f"{name.replace('_', ' ')} of episode {pictured['episode']}: {pictured[name]}")
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
+    if options.json_file is not None:
         summary = {
             "root": str(options.root),
             "settings": settings_of(options),
@@ -357,7 +347,7 @@ def _report(
             "pictured": pictured,
             "versions": versions(),
         }
-        options.json.write_text(json.dumps(summary, indent=2) + "\n")
+        write_json(options.json_file, summary)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
+from regrasp_gym.errors import RegraspGymError
+
 if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv
 
@@ -51,7 +53,7 @@ MEANING = {
 """One line per feature, for the dataset card."""
 
 
-class FeatureError(ValueError):
+class FeatureError(RegraspGymError, ValueError):
     """An environment whose observations or actions do not fit into a dataset."""
 
 

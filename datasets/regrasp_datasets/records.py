@@ -10,12 +10,14 @@ import hashlib
 import importlib.metadata
 import json
 import platform
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from regrasp_gym.errors import RegraspGymError
+from regrasp_gym.reports.files import read_lines
 
 EPISODES_FILE = "meta/regrasp_episodes.jsonl"
 ATTEMPTS_FILE = "meta/regrasp_attempts.jsonl"
@@ -27,7 +29,7 @@ OUTCOMES = ("success", "plan failed", "execution failed", "not needed", "timeout
 """What can become of a seed; ``not needed``: one grasp sufficed, and no more such episodes were wanted."""
 
 
-class DatasetError(Exception):
+class DatasetError(RegraspGymError):
     """A folder that is not a readable dataset of this project. The message names the folder and what is missing."""
 
 
@@ -122,14 +124,6 @@ def state_sha256(*arrays: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def write_lines(path: Path, items: Iterable[EpisodeRecord | Attempt]) -> None:
-    """Write one JSON object per line, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text("".join(json.dumps(asdict(item)) + "\n" for item in items))
-    temporary.replace(path)
-
-
 def read_episodes(root: Path) -> list[EpisodeRecord]:
     """Records of the episodes of the dataset at ``root``, in the order of their index.
 
@@ -165,6 +159,6 @@ def require_dataset(root: Path) -> None:
 
 def _lines(path: Path) -> list[dict[str, Any]]:
     try:
-        return [json.loads(line) for line in path.read_text().splitlines() if line]
+        return read_lines(path, strict=True)
     except (OSError, json.JSONDecodeError) as error:
         raise DatasetError(f"{path} cannot be read: {error}") from error

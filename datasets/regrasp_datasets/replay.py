@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import pickle
 import sys
@@ -32,8 +31,10 @@ from regrasp_datasets.features import (
 )
 from regrasp_datasets.quiet import quiet_environment, quiet_lerobot
 from regrasp_datasets.records import DatasetError, EpisodeRecord, read_episodes, require_dataset, versions
-from regrasp_datasets.rollout import RolloutConfig, RolloutError, digest_of, make_env, make_expert
+from regrasp_datasets.rollout import RolloutError, RolloutOptions, digest_of, make_env, make_expert
 from regrasp_gym.rendering.film import write_film
+from regrasp_gym.reports.command_line import JsonFile, require_extra, run_command
+from regrasp_gym.reports.files import write_json
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class ReplayOptions:
     another version of MuJoCo rounds differently."""
     video: Path | None = None
     """MP4 file of the first of the episodes, seen by the overview camera."""
-    json: Path | None = None
+    json_file: JsonFile = None
     """File for the outcome as JSON."""
 
 
@@ -251,7 +252,7 @@ def picture_plan(record: EpisodeRecord, path: Path, stored: Path) -> None:
         if stored.exists():
             plan = pickle.loads(stored.read_bytes())
         else:
-            config = RolloutConfig(record.env_id, record.env_kwargs, record.expert, record.strategy)
+            config = RolloutOptions(record.env_id, record.env_kwargs, record.expert, record.strategy)
             expert = make_expert(config, env)
             if not expert.reset():
                 raise RolloutError(f"No plan for seed {record.seed} any more: {expert.failure}")
@@ -265,16 +266,7 @@ def main() -> int:
     """Entry point of ``regrasp-replay``: 0 if everything is reproduced, 1 if not, 2 for wrong use."""
     options = tyro.cli(ReplayOptions, prog="regrasp-replay", description=ReplayOptions.__doc__)
     quiet_environment()
-    if importlib.util.find_spec("lerobot") is None:
-        print("regrasp-replay needs LeRobot: pip install 'regrasp-gym[lerobot]'", file=sys.stderr)
-        return 2
-    try:
-        return replay(options)
-    except (DatasetError, RolloutError) as error:
-        print(f"regrasp-replay: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    return run_command("regrasp-replay", lambda: replay(options))
 
 
 def replay(options: ReplayOptions, console: Console | None = None) -> int:
@@ -289,6 +281,7 @@ def replay(options: ReplayOptions, console: Console | None = None) -> int:
     """
     from regrasp_datasets.verify import require_valid
 
+    require_extra("regrasp-replay", "lerobot")
     console = console or Console()
     require_valid(options.root)
     records = read_episodes(options.root)
@@ -344,8 +337,7 @@ def _report(options: ReplayOptions, results: list[ReplayResult], records: list[E
     }
     if changed and len(good) < len(results):
         console.print(f"[yellow]Recorded with other versions:[/] {', '.join(sorted(changed))}.")
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
+    if options.json_file is not None:
         summary = {
             "root": str(options.root),
             "tolerance": options.tolerance,
@@ -354,7 +346,7 @@ def _report(options: ReplayOptions, results: list[ReplayResult], records: list[E
             "episodes": [asdict(result) | {"reproduced": result.reproduced(options.tolerance)} for result in results],
             "versions": now,
         }
-        options.json.write_text(json.dumps(summary, indent=2) + "\n")
+        write_json(options.json_file, summary)
     return 0 if len(good) == len(results) else 1
 
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from regrasp_datasets.features import FeatureError, Step, base_env, observe
 from regrasp_datasets.records import Attempt, state_sha256
+from regrasp_gym.errors import RegraspGymError
 
 DEFAULT_EXPERT = "regrasp_gym:PlannerExpert"
 
 
-class RolloutError(Exception):
+class RolloutError(RegraspGymError):
     """An environment or an expert that cannot be set up as asked. The message names what and why."""
 
 
@@ -43,7 +44,7 @@ class Expert(Protocol):
 
 
 @dataclass(frozen=True)
-class RolloutConfig:
+class RolloutOptions:
     """Who acts where.
 
     Attributes:
@@ -106,7 +107,7 @@ def make_env(env_id: str, env_kwargs: dict[str, Any]) -> gym.Env:
     return env
 
 
-def make_expert(config: RolloutConfig, env: gym.Env) -> Expert:
+def make_expert(config: RolloutOptions, env: gym.Env) -> Expert:
     """Construct the expert of ``config`` for ``env``.
 
     A new one per episode: whatever it drew or learnt in one episode must not reach the next, or an episode would
@@ -128,7 +129,7 @@ def make_expert(config: RolloutConfig, env: gym.Env) -> Expert:
     return make(env, strategy=config.strategy, seed=0)
 
 
-def run_expert(env: gym.Env, config: RolloutConfig, seed: int, *, need_regrasp: bool = False) -> Rollout | Attempt:
+def run_expert(env: gym.Env, config: RolloutOptions, seed: int, *, need_regrasp: bool = False) -> Rollout | Attempt:
     """Reset ``env`` with ``seed`` and let the expert act until it or the environment ends the episode.
 
     Args:

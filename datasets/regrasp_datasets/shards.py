@@ -16,9 +16,10 @@ from typing import Any
 
 from regrasp_datasets.features import frame_of
 from regrasp_datasets.quiet import quiet_lerobot
-from regrasp_datasets.records import EPISODES_FILE, EpisodeRecord, read_episodes, write_lines
+from regrasp_datasets.records import EPISODES_FILE, EpisodeRecord, read_episodes
 from regrasp_datasets.rollout import Rollout
 from regrasp_datasets.verify import require_valid
+from regrasp_gym.reports.files import rewrite_lines
 
 MERGE_FAN_IN = 24
 """Datasets merged at once. Each merge rewrites what was merged before it, so many small ones are merged in a tree."""
@@ -90,7 +91,7 @@ def write_shard(
             dataset.add_frame(frame_of(step, seed=record.seed, done=index == last, task=rollout.task))
         dataset.save_episode(parallel_encoding=False)
         dataset.finalize()
-        write_lines(temporary / EPISODES_FILE, [record])
+        rewrite_lines(temporary / EPISODES_FILE, [record])
         shutil.rmtree(temporary / "images", ignore_errors=True)
         require_valid(temporary)
         final = shard_path(folder, record.seed)
@@ -122,7 +123,7 @@ def merge(sources: Sequence[Path], destination: Path) -> None:
     quiet_lerobot()
     records = [record for source in sources for record in read_episodes(source)]
     _merge_frames(list(sources), destination)
-    write_lines(
+    rewrite_lines(
         destination / EPISODES_FILE, [replace(record, episode_index=index) for index, record in enumerate(records)]
     )
     require_valid(destination)

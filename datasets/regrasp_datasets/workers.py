@@ -20,8 +20,9 @@ import gymnasium as gym
 
 from regrasp_datasets.features import base_env, features_of
 from regrasp_datasets.records import Attempt, EpisodeRecord, versions
-from regrasp_datasets.rollout import Rollout, RolloutConfig, RolloutError, make_env, make_expert, run_expert
+from regrasp_datasets.rollout import Rollout, RolloutError, RolloutOptions, make_env, make_expert, run_expert
 from regrasp_datasets.shards import write_shard
+from regrasp_gym.errors import RegraspGymError
 
 STOP_SECONDS = 5.0
 """How long a worker may take to end when asked, before it is killed."""
@@ -32,12 +33,12 @@ def plan_path(folder: Path, seed: int) -> Path:
     return folder / f"seed-{seed:08d}.pickle"
 
 
-class WorkerError(Exception):
+class WorkerError(RegraspGymError):
     """No worker can do its work. The message says why."""
 
 
 @dataclass(frozen=True)
-class WorkerConfig:
+class WorkerOptions:
     """What every worker does with the seeds it is given.
 
     Attributes:
@@ -50,7 +51,7 @@ class WorkerConfig:
         timeout: seconds an episode may take before its worker is killed.
     """
 
-    rollout: RolloutConfig
+    rollout: RolloutOptions
     shards: Path
     logs: Path
     plans: Path | None
@@ -82,7 +83,7 @@ class WorkerPool:
         count: how many.
     """
 
-    def __init__(self, config: WorkerConfig, count: int) -> None:
+    def __init__(self, config: WorkerOptions, count: int) -> None:
         self._config = config
         self._context = multiprocessing.get_context("spawn")
         self._workers: list[_Worker] = []
@@ -111,11 +112,6 @@ class WorkerPool:
     def busy_seeds(self) -> set[int]:
         """Seeds that are being worked on."""
         return {worker.seed for worker in self._workers if worker.seed is not None}
-
-    @property
-    def pids(self) -> list[int]:
-        """Process ids of the workers."""
-        return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
 
     def assign(self, seed: int, *, need_regrasp: bool) -> None:
         """Give a seed to an idle worker."""
@@ -192,7 +188,7 @@ def _interrupts_ignored() -> Generator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def _work(connection: Connection, config: WorkerConfig, log: Path) -> None:
+def _work(connection: Connection, config: WorkerOptions, log: Path) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with_parent()
@@ -218,7 +214,7 @@ def _work(connection: Connection, config: WorkerConfig, log: Path) -> None:
             connection.send(_attempt(env, config, seed, need_regrasp))
 
 
-def _attempt(env: gym.Env, config: WorkerConfig, seed: int, need_regrasp: bool) -> Attempt:
+def _attempt(env: gym.Env, config: WorkerOptions, seed: int, need_regrasp: bool) -> Attempt:
     started = time.perf_counter()
     try:
         result = run_expert(env, config.rollout, seed, need_regrasp=need_regrasp)
@@ -244,7 +240,7 @@ def _attempt(env: gym.Env, config: WorkerConfig, seed: int, need_regrasp: bool) 
         return Attempt(seed, "crashed", cause=type(error).__name__, reason=f"{type(error).__name__}: {error}")
 
 
-def _record(config: RolloutConfig, rollout: Rollout, seconds: float) -> EpisodeRecord:
+def _record(config: RolloutOptions, rollout: Rollout, seconds: float) -> EpisodeRecord:
     attempt = rollout.attempt
     return EpisodeRecord(
         episode_index=0,

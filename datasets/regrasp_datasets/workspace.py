@@ -6,11 +6,9 @@ itself appears by a single rename, so that it is whole whenever it is there.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +19,9 @@ from regrasp_datasets.records import (
     read_attempts,
     read_episodes,
     require_dataset,
-    write_lines,
 )
 from regrasp_datasets.shards import merge, remove_unfinished, shard_path, shard_seeds
+from regrasp_gym.reports.files import acquire_lock, append_line, read_lines, rewrite_lines, write_json
 
 SETTINGS_FILE = "meta/regrasp_collection.json"
 
@@ -70,13 +68,8 @@ class Workspace:
                 raise WorkspaceError(
                     f"{self.folder} holds an unfinished collection. Add --resume to go on with it, or remove it."
                 )
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = (self.folder / "lock").open("w")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._lock.close()
-            raise WorkspaceError(f"Another regrasp-collect is writing to {root}.") from error
+        busy = WorkspaceError(f"Another regrasp-collect is writing to {root}.")
+        self._lock = acquire_lock(self.folder / "lock", busy)
         self.shards.mkdir(exist_ok=True)
         self.logs.mkdir(exist_ok=True)
         self.plans.mkdir(exist_ok=True)
@@ -96,13 +89,12 @@ class Workspace:
         """Release the lock; remove the folder if it holds neither episodes nor attempts."""
         if self.folder.exists() and not self._log.exists() and not shard_seeds(self.shards):
             shutil.rmtree(self.folder)
-        self._lock.close()
+        self._lock.release()
 
     def add(self, attempt: Attempt) -> None:
         """Write down what became of a seed."""
         self.attempts[attempt.seed] = attempt
-        with self._log.open("a") as stream:
-            stream.write(json.dumps(asdict(attempt)) + "\n")
+        append_line(self._log, attempt)
 
     def publish(self, seeds: Sequence[int], attempts: Sequence[Attempt]) -> None:
         """Make the dataset at ``root`` hold the episodes of ``seeds``, and nothing half-done at any moment.
@@ -115,14 +107,14 @@ class Workspace:
 
         new = [seed for seed in seeds if seed not in self.published]
         if not new and self.root.exists():
-            write_lines(self.root / ATTEMPTS_FILE, attempts)
+            rewrite_lines(self.root / ATTEMPTS_FILE, attempts)
             return
         merged, replaced = self.folder / "merged", self.folder / "replaced"
         shutil.rmtree(merged, ignore_errors=True)
         sources = [self.root] if self.root.exists() else []
         merge([*sources, *(shard_path(self.shards, seed) for seed in new)], merged)
-        write_lines(merged / ATTEMPTS_FILE, attempts)
-        (merged / SETTINGS_FILE).write_text(json.dumps(self._settings, indent=2) + "\n")
+        rewrite_lines(merged / ATTEMPTS_FILE, attempts)
+        write_json(merged / SETTINGS_FILE, self._settings)
         write_card(merged, name=self.root.name)
         if self.root.exists():
             self.root.rename(replaced)
@@ -157,8 +149,9 @@ class Workspace:
         if local.exists():
             self._compare(local)
         else:
-            local.write_text(json.dumps(self._settings, indent=2) + "\n")
-        attempts |= {attempt.seed: attempt for attempt in self._logged()}
+            write_json(local, self._settings)
+        # A process that was killed leaves half a line at the end: that seed is tried again.
+        attempts |= {line["seed"]: Attempt(**line) for line in read_lines(self._log)}
         for seed in shard_seeds(self.shards):
             if seed in published:
                 shutil.rmtree(shard_path(self.shards, seed))
@@ -171,18 +164,8 @@ class Workspace:
             if attempt.outcome not in RETRIED_OUTCOMES and (seed in present or not attempt.saved)
         }
         if self._log.exists():
-            write_lines(self._log, attempts.values())
+            rewrite_lines(self._log, attempts.values())
         return attempts, published
-
-    def _logged(self) -> list[Attempt]:
-        attempts: list[Attempt] = []
-        for line in self._log.read_text().splitlines() if self._log.exists() else []:
-            try:
-                attempts.append(Attempt(**json.loads(line)))
-            except (json.JSONDecodeError, TypeError):
-                # The last line of a process that was killed while writing it: that seed is simply tried again.
-                continue
-        return attempts
 
     def _attempt_of_shard(self, seed: int) -> Attempt:
         record = read_episodes(shard_path(self.shards, seed))[0]

@@ -62,7 +62,7 @@ def quiet() -> Console:
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("collected") / "waves"
-    assert collect(options(root, json=root.with_suffix(".json")), quiet()) == 0
+    assert collect(options(root, json_file=root.with_suffix(".json")), quiet()) == 0
     return root
 
 
@@ -167,7 +167,7 @@ def test_stage_index_follows_the_plan(dataset):
 
 def test_replay_is_exact(each_dataset, tmp_path):
     report = tmp_path / "replay.json"
-    assert replay(ReplayOptions(each_dataset, json=report), quiet()) == 0
+    assert replay(ReplayOptions(each_dataset, json_file=report), quiet()) == 0
     summary = json.loads(report.read_text())
     assert summary["exact"] == len(read_episodes(each_dataset))
     assert all(episode["max_state_error"] == 0 for episode in summary["episodes"])
@@ -181,7 +181,7 @@ def test_replay_notices_a_changed_action(copied, tmp_path):
     table.at[5, ACTION] = action
     table.to_parquet(path)
     report = tmp_path / "replay.json"
-    assert replay(ReplayOptions(copied, episodes=(0, 1), json=report), quiet()) == 1
+    assert replay(ReplayOptions(copied, episodes=(0, 1), json_file=report), quiet()) == 1
     first, second = json.loads(report.read_text())["episodes"]
     assert first["first_difference"] == f"frame 6: {STATE}"
     assert 0 < first["max_state_error"] < 1e-2
@@ -305,7 +305,7 @@ def test_only_successes_are_kept_unless_asked_otherwise(tmp_path):
     root = tmp_path / "none"
     report = tmp_path / "none.json"
     changes = {"keep_failures": False, "images": False, "image_size": None, "max_attempts": 3, "workers": 1}
-    assert collect(options(root, json=report, **changes), quiet()) == 1
+    assert collect(options(root, json_file=report, **changes), quiet()) == 1
     assert not root.exists()
     assert json.loads(report.read_text())["failures"] == {
         "execution failed: target not at its goal": 2,

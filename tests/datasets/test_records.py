@@ -15,8 +15,8 @@ from regrasp_datasets.records import (
     read_attempts,
     require_dataset,
     state_sha256,
-    write_lines,
 )
+from regrasp_gym.reports.files import rewrite_lines
 
 
 def test_digest_sees_every_bit():
@@ -48,7 +48,7 @@ def test_lines_survive_a_round_trip(tmp_path):
         Attempt(3, "success", saved=True, target="004_sugar_box", stages=2, planning_seconds=0.25, frames=400),
         Attempt(4, "plan failed", reason='no grasp: "α"\nanother line'),
     ]
-    write_lines(tmp_path / ATTEMPTS_FILE, attempts)
+    rewrite_lines(tmp_path / ATTEMPTS_FILE, attempts)
     assert read_attempts(tmp_path) == attempts
 
 

@@ -15,10 +15,10 @@ pytest.importorskip("lerobot")
 pytest.importorskip("yaml")
 
 from regrasp_gym.seeds import FIRST_SEED
-from regrasp_train.bc import BcCommand, flattened, fresh, merged, train
+from regrasp_train.bc import TrainBcOptions, flattened, fresh, merged, train
 from regrasp_train.errors import MismatchError, RunError
-from regrasp_train.evaluate import EvalCommand, evaluate
-from regrasp_train.run_folder import held
+from regrasp_train.evaluate import EvalOptions, evaluate
+from regrasp_train.run_folder import lock_run
 from regrasp_train.scenes import held_out
 
 pytestmark = pytest.mark.lerobot
@@ -36,7 +36,7 @@ def policy_of(run):
 def trained(tmp_path_factory, lifts):
     """A run of four steps from vectors."""
     run = tmp_path_factory.mktemp("bc") / "run"
-    train(BcCommand(run, lifts, steps=4, batch_size=4, save_every=2, device="cpu"), SMALL)
+    train(TrainBcOptions(run, lifts, steps=4, batch_size=4, save_every=2, device="cpu"), SMALL)
     return run
 
 
@@ -52,19 +52,19 @@ def test_tables_are_merged_and_flattened():
 
 def test_a_run_goes_on(trained, lifts):
     with pytest.raises(RunError, match="--resume"):
-        fresh(BcCommand(trained, lifts))
+        fresh(TrainBcOptions(trained, lifts))
     assert sorted(path.name for path in (trained / "checkpoints").iterdir()) == ["000002", "000004", "last"]
     saved = json.loads((policy_of(trained) / "train_config.json").read_text())
     assert saved["env"]["task"] == LIFT.removeprefix("regrasp_gym/")
     assert saved["policy"]["normalization_mapping"]["ENV"] == "MEAN_STD"
-    train(BcCommand(trained, steps=6, resume=True))
+    train(TrainBcOptions(trained, steps=6, resume=True))
     state = trained / "checkpoints" / "last" / "training_state" / "training_step.json"
     assert json.loads(state.read_text())["step"] == 6
 
 
 def test_the_policy_is_evaluated(trained, tmp_path):
     summary, records, policy = tmp_path / "eval.json", tmp_path / "eval.jsonl", str(policy_of(trained))
-    assert evaluate(EvalCommand(policy, episodes=1, records=records, json_file=summary)) == 0
+    assert evaluate(EvalOptions(policy, episodes=1, records=records, json_file=summary)) == 0
     found = json.loads(summary.read_text())
     assert found["env"] == LIFT
     assert found["env_kwargs"]["control_mode"] == "ee_delta"
@@ -73,14 +73,14 @@ def test_the_policy_is_evaluated(trained, tmp_path):
     assert len(found["success_rate_95"]) == 2
     # The same again costs nothing.
     before = records.read_text()
-    assert evaluate(EvalCommand(policy, episodes=1, records=records)) == 0
+    assert evaluate(EvalOptions(policy, episodes=1, records=records)) == 0
     assert records.read_text() == before
 
 
 @pytest.mark.slow
 def test_episodes_are_filmed(trained, tmp_path):
     videos, policy = tmp_path / "films", str(policy_of(trained))
-    assert evaluate(EvalCommand(policy, episodes=2, records=tmp_path / "e.jsonl", videos=videos, filmed=1)) == 0
+    assert evaluate(EvalOptions(policy, episodes=2, records=tmp_path / "e.jsonl", videos=videos, filmed=1)) == 0
     (film,) = videos.iterdir()
     assert film.name == "scene-1000000000.mp4"
     assert film.stat().st_size > 1000
@@ -88,15 +88,15 @@ def test_episodes_are_filmed(trained, tmp_path):
 
 def test_a_checkpoint_of_another_environment_is_refused(trained, tmp_path):
     with pytest.raises(MismatchError, match="was trained with action of shape"):
-        evaluate(EvalCommand(str(policy_of(trained)), control_mode="joint_pos", records=tmp_path / "e.jsonl"))
+        evaluate(EvalOptions(str(policy_of(trained)), control_mode="joint_pos", records=tmp_path / "e.jsonl"))
     with pytest.raises(MismatchError, match=r"environment_state of shape .*regrasp_gym/PandaYCB-v0 has"):
-        evaluate(EvalCommand(str(policy_of(trained)), env="regrasp_gym/PandaYCB-v0", records=tmp_path / "e.jsonl"))
+        evaluate(EvalOptions(str(policy_of(trained)), env="regrasp_gym/PandaYCB-v0", records=tmp_path / "e.jsonl"))
     with pytest.raises(RunError, match="give its policy"):
-        evaluate(EvalCommand(str(trained), records=tmp_path / "e.jsonl"))
+        evaluate(EvalOptions(str(trained), records=tmp_path / "e.jsonl"))
 
 
 def test_more_scenes_than_there_are_is_refused(tmp_path):
-    command = EvalCommand("expert", env="regrasp_gym/PandaYCBDirect-v0", episodes=10**6, records=tmp_path / "e.jsonl")
+    command = EvalOptions("expert", env="regrasp_gym/PandaYCBDirect-v0", episodes=10**6, records=tmp_path / "e.jsonl")
     with pytest.raises(MismatchError, match="or fewer"):
         evaluate(command)
 
@@ -104,24 +104,24 @@ def test_more_scenes_than_there_are_is_refused(tmp_path):
 def test_a_dataset_that_does_not_fit_is_refused(lifts, tmp_path):
     run = tmp_path / "run"
     with pytest.raises(MismatchError, match=r"does not fit regrasp_gym/PandaYCB-v0: its observation.environment_state"):
-        fresh(BcCommand(run, lifts, env="regrasp_gym/PandaYCB-v0"))
+        fresh(TrainBcOptions(run, lifts, env="regrasp_gym/PandaYCB-v0"))
     with pytest.raises(MismatchError, match="holds no images"):
-        fresh(BcCommand(run, lifts, config="bc-images"))
+        fresh(TrainBcOptions(run, lifts, config="bc-images"))
     with pytest.raises(RunError, match="--dataset is missing"):
-        fresh(BcCommand(run))
+        fresh(TrainBcOptions(run))
     with pytest.raises(RunError, match="no checkpoint"):
-        train(BcCommand(run, resume=True))
+        train(TrainBcOptions(run, resume=True))
     run.mkdir()
     with pytest.raises(RunError, match="choose another --run"):
-        fresh(BcCommand(run, lifts))
-    with held(tmp_path / "other"), pytest.raises(RunError, match="another training is at work"):
-        train(BcCommand(tmp_path / "other", lifts, device="cpu"))
+        fresh(TrainBcOptions(run, lifts))
+    with lock_run(tmp_path / "other"), pytest.raises(RunError, match="another training is at work"):
+        train(TrainBcOptions(tmp_path / "other", lifts, device="cpu"))
     with pytest.raises(RunError, match="'sac' is not one of behaviour cloning"):
-        fresh(BcCommand(tmp_path / "new", lifts, config="sac"))
+        fresh(TrainBcOptions(tmp_path / "new", lifts, config="sac"))
 
 
 def test_validation_is_in_held_out_scenes(lifts, tmp_path):
-    arguments = fresh(BcCommand(tmp_path / "run", lifts, seed=3))
+    arguments = fresh(TrainBcOptions(tmp_path / "run", lifts, seed=3))
     assert f"--seed={FIRST_SEED['val'] + 3}" in arguments
     assert not any(argument.startswith("--env.split") for argument in arguments)
     of_list = held_out("regrasp_gym/PandaYCBDirect-v0", "val")
@@ -143,7 +143,7 @@ def test_a_killed_run_goes_on(lifts, tmp_path):
     process.wait()
     state = run / "checkpoints" / "last" / "training_state" / "training_step.json"
     steps = json.loads(state.read_text())["step"]
-    train(BcCommand(run, steps=steps + 2, resume=True))
+    train(TrainBcOptions(run, steps=steps + 2, resume=True))
     assert json.loads(state.read_text())["step"] == steps + 2
 
 
@@ -187,9 +187,9 @@ def test_stock_lerobot_trains_from_images(tmp_path):
     stock_training(dataset, tmp_path / "stock", "pixels_environment_state_agent_pos")
 
     ours = tmp_path / "ours"
-    train(BcCommand(ours, dataset, config="bc-images", steps=2, batch_size=2, device="cpu"), SMALL)
+    train(TrainBcOptions(ours, dataset, config="bc-images", steps=2, batch_size=2, device="cpu"), SMALL)
     inputs = json.loads((policy_of(ours) / "config.json").read_text())["input_features"]
     assert "observation.environment_state" not in inputs
     assert inputs["observation.images.front"]["shape"] == [3, 64, 64]
-    command = EvalCommand(str(policy_of(ours)), episodes=1, records=tmp_path / "eval.jsonl", device="cpu")
+    command = EvalOptions(str(policy_of(ours)), episodes=1, records=tmp_path / "eval.jsonl", device="cpu")
     assert evaluate(command) == 0

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from regrasp_gym.reports.files import append_line, rewrite_lines
 from regrasp_train.learning_curve import (
     CurvePoint,
-    append_point,
     curve_report,
     plot_curves,
     read_points,
-    rewrite_points,
 )
 
 POINTS = [CurvePoint(1000 * k, 60.0 * k, 20, 4 * k) for k in range(5)]
@@ -20,7 +19,7 @@ def test_points_survive_a_round_trip_and_a_half_written_line(tmp_path):
     file = tmp_path / "curve.jsonl"
     assert read_points(file) == []
     for point in POINTS:
-        append_point(file, point)
+        append_line(file, point)
     with file.open("a") as stream:
         stream.write('{"steps": 50')
     assert read_points(file) == POINTS
@@ -29,8 +28,8 @@ def test_points_survive_a_round_trip_and_a_half_written_line(tmp_path):
 def test_what_came_after_the_last_checkpoint_is_dropped(tmp_path):
     file = tmp_path / "curve.jsonl"
     for point in POINTS:
-        append_point(file, point)
-    rewrite_points(file, read_points(file, last_step=2500))
+        append_line(file, point)
+    rewrite_lines(file, read_points(file, last_step=2500))
     assert read_points(file) == POINTS[:3]
 
 

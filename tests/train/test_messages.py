@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from regrasp_train.configs import CONFIGS, read_config
-from regrasp_train.errors import MissingExtraError, RunError, require_extra
+from regrasp_train.errors import RunError
 
 COMMANDS = ("bc", "rl", "evaluate")
 
@@ -32,14 +32,6 @@ def test_unknown_config_is_named(tmp_path):
     broken.write_text("- a\n")
     with pytest.raises(RunError, match="no table"):
         read_config(str(broken))
-
-
-@pytest.mark.parametrize(("extra", "module"), [("lerobot", "lerobot"), ("rl", "stable_baselines3")])
-def test_missing_extra_is_named(monkeypatch, extra, module):
-    found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == module else found(name, *rest))
-    with pytest.raises(MissingExtraError, match=rf"regrasp-x needs {module}.*regrasp-gym\[{extra}\]"):
-        require_extra("regrasp-x", extra)
 
 
 @pytest.mark.parametrize(

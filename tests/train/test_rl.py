@@ -27,12 +27,12 @@ from regrasp_train.demonstrations import (
     read_demonstrations,
 )
 from regrasp_train.errors import MismatchError, RunError
-from regrasp_train.evaluate import EvalCommand, evaluate
+from regrasp_train.evaluate import EvalOptions, evaluate
 from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
 from regrasp_train.learning_curve import read_points
-from regrasp_train.rl import RlCommand, learning_envs, restored, train
-from regrasp_train.rl_envs import make_judging_env, make_learning_env
-from regrasp_train.run_folder import PROGRESS, checkpoints_in, held, read_run
+from regrasp_train.rl import TrainRlOptions, learning_envs, restored, train
+from regrasp_train.rl_envs import make_eval_env, make_learning_env
+from regrasp_train.run_folder import PROGRESS, checkpoints_in, lock_run, read_run
 
 pytestmark = pytest.mark.rl
 
@@ -60,7 +60,7 @@ def sac(tmp_path):
 
 def options(tmp_path, config, **changes):
     quick = {"steps": 320, "save_every": 160, "eval_every": 160, "eval_episodes": 1, "progress": False, "device": "cpu"}
-    return RlCommand(run=tmp_path / "run", config=config, **quick | changes)
+    return TrainRlOptions(run=tmp_path / "run", config=config, **quick | changes)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -73,7 +73,7 @@ def test_learning_environment_is_one_for_stable_baselines():
 
 
 def test_judging_goes_through_the_validation_scenes_in_turn():
-    env = make_judging_env(LIFT, KWARGS, 2)
+    env = make_eval_env(LIFT, KWARGS, 2)
     seeds = [env.reset()[1]["scene_seed"] for _ in range(3)]
     assert seeds == [500_000_000, 500_000_001, 500_000_000]
     env.close()
@@ -161,7 +161,7 @@ def test_a_run_goes_on_and_is_evaluated(tmp_path, sac):
     with pytest.raises(RunError, match="--resume"):
         train(options(tmp_path, sac))
     report, plot = tmp_path / "curve.json", tmp_path / "curve.png"
-    train(options(tmp_path, sac, steps=480, resume=True, json=report, plot=plot))
+    train(options(tmp_path, sac, steps=480, resume=True, json_file=report, plot=plot))
     points = read_points(run / "curve.jsonl")
     assert [point.steps for point in points] == [160, 320, 480]
     assert [point.seconds for point in points] == sorted(point.seconds for point in points)
@@ -171,26 +171,26 @@ def test_a_run_goes_on_and_is_evaluated(tmp_path, sac):
     assert list(run.glob("tensorboard*/events*"))
 
     summary = tmp_path / "eval.json"
-    command = EvalCommand(str(run / "model.zip"), episodes=1, records=tmp_path / "eval.jsonl", json_file=summary)
+    command = EvalOptions(str(run / "model.zip"), episodes=1, records=tmp_path / "eval.jsonl", json_file=summary)
     assert evaluate(command) == 0
     found = json.loads(summary.read_text())
     assert found["env"] == LIFT
     assert found["episodes"] == 1
     assert found["seeds"] == [1_000_000_000, 1_000_000_000]
     with pytest.raises(MismatchError, match="was trained with the observation space"):
-        evaluate(EvalCommand(str(run / "model.zip"), env="regrasp_gym/PandaYCB-v0", records=tmp_path / "e.jsonl"))
+        evaluate(EvalOptions(str(run / "model.zip"), env="regrasp_gym/PandaYCB-v0", records=tmp_path / "e.jsonl"))
 
 
 def test_nothing_to_go_on_from(tmp_path, sac):
     with pytest.raises(RunError, match="no checkpoint"):
-        train(RlCommand(run=tmp_path / "nowhere", resume=True))
+        train(TrainRlOptions(run=tmp_path / "nowhere", resume=True))
     (tmp_path / "run").mkdir()
     with pytest.raises(RunError, match="choose another --run"):
         train(options(tmp_path, sac))
 
 
 def test_two_trainings_do_not_share_a_folder(tmp_path, sac):
-    with held(tmp_path / "run"), pytest.raises(RunError, match="another training is at work"):
+    with lock_run(tmp_path / "run"), pytest.raises(RunError, match="another training is at work"):
         train(options(tmp_path, sac))
     assert not (tmp_path / "run").exists()
 
@@ -209,7 +209,7 @@ def test_a_run_that_goes_on_keeps_what_it_was_told(tmp_path, sac):
     # Better than an untrained model ever does: what it learns now is no new best one.
     last.write_text(json.dumps({**progress, "best": -10.0}))
     before = (run / "best" / "best_model.zip").stat().st_mtime_ns
-    again = RlCommand(run=run, steps=480, resume=True, progress=False, device="cpu")
+    again = TrainRlOptions(run=run, steps=480, resume=True, progress=False, device="cpu")
     train(again)
     assert (run / "best" / "best_model.zip").stat().st_mtime_ns == before
     assert read_points(run / "curve.jsonl")[-1].steps == 480
@@ -223,7 +223,7 @@ def test_a_run_that_goes_on_sees_other_scenes(tmp_path, sac):
         last = checkpoints_in(tmp_path / "run")[-1] / PROGRESS
         last.write_text(json.dumps({**json.loads(last.read_text()), "steps": steps}))
         envs = learning_envs(settings)
-        restored(settings, envs, RlCommand(run=tmp_path / "run", device="cpu"))
+        restored(settings, envs, TrainRlOptions(run=tmp_path / "run", device="cpu"))
         envs.reset()
         seen.append(envs.envs[0].unwrapped.scene.seed)
         envs.close()

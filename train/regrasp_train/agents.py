@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from regrasp_train.errors import MismatchError, RunError, require_extra
+from regrasp_gym.reports.command_line import require_extra
+from regrasp_train.errors import MismatchError, RunError
 
 if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv

@@ -16,10 +16,10 @@ import tyro
 from rich.console import Console
 
 from regrasp_datasets.quiet import quiet_environment
-from regrasp_train.command_end import ended
+from regrasp_gym.reports.command_line import require_extra, run_command
 from regrasp_train.configs import read_config
-from regrasp_train.errors import MismatchError, RunError, require_extra
-from regrasp_train.run_folder import check_new, held
+from regrasp_train.errors import MismatchError, RunError
+from regrasp_train.run_folder import check_new, lock_run
 from regrasp_train.scenes import held_out
 from regrasp_train.threads import threads
 
@@ -28,7 +28,7 @@ PLUGIN = "regrasp_datasets.lerobot_env"
 
 
 @dataclass(frozen=True)
-class BcCommand:
+class TrainBcOptions:
     """Train a policy on demonstrations with LeRobot's trainer.
 
     Fills in what lerobot-train needs to know about a dataset of regrasp-collect and its environment, prints that
@@ -65,15 +65,16 @@ class BcCommand:
 def main() -> int:
     """Entry point of ``regrasp-train-bc``: 0 if done, 2 for wrong use, 130 for Ctrl-C."""
     ours, extra = _split(sys.argv[1:])
-    command = tyro.cli(BcCommand, prog="regrasp-train-bc", description=BcCommand.__doc__, args=ours)
+    command = tyro.cli(TrainBcOptions, prog="regrasp-train-bc", description=TrainBcOptions.__doc__, args=ours)
     shows_progress = "TQDM_DISABLE" not in os.environ
     quiet_environment()
     if shows_progress:
         del os.environ["TQDM_DISABLE"]
-    return ended("regrasp-train-bc", lambda: train(command, extra), f"go on with --run {command.run} --resume")
+    resume = f"go on with --run {command.run} --resume"
+    return run_command("regrasp-train-bc", lambda: train(command, extra), resume=resume)
 
 
-def train(command: BcCommand, extra: Sequence[str] = ()) -> int:
+def train(command: TrainBcOptions, extra: Sequence[str] = ()) -> int:
     """Do what ``command`` says; 0.
 
     Args:
@@ -101,7 +102,7 @@ def train(command: BcCommand, extra: Sequence[str] = ()) -> int:
     before = sys.argv
     sys.argv = ["lerobot-train", *arguments]
     try:
-        with held(command.run):
+        with lock_run(command.run):
             lerobot_train()  # pyright: ignore[reportCallIssue]
     finally:
         sys.argv = before
@@ -110,7 +111,7 @@ def train(command: BcCommand, extra: Sequence[str] = ()) -> int:
     return 0
 
 
-def fresh(command: BcCommand) -> list[str]:
+def fresh(command: TrainBcOptions) -> list[str]:
     """Arguments for LeRobot's trainer that begin a run."""
     from regrasp_datasets.records import read_episodes
 
@@ -155,7 +156,7 @@ def fresh(command: BcCommand) -> list[str]:
     return flattened(settings)
 
 
-def resumed(command: BcCommand) -> list[str]:
+def resumed(command: TrainBcOptions) -> list[str]:
     """Arguments for LeRobot's trainer that go on with a run."""
     saved = saved_config(command.run)
     if not saved.exists():

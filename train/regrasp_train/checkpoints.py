@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 
-from regrasp_train.learning_curve import CurvePoint, append_point
+from regrasp_gym.reports.files import append_line
+from regrasp_train.learning_curve import CurvePoint
 from regrasp_train.run_folder import BUFFER, CHECKPOINTS, MODEL, PROGRESS, checkpoints_in
 
 
@@ -93,5 +94,5 @@ class CurvePoints(BaseCallback):
         assert isinstance(self.parent, EvalCallback)
         successes = self.parent.evaluations_successes[-1]
         point = CurvePoint(self.num_timesteps, self.clock.seconds, len(successes), int(sum(map(bool, successes))))
-        append_point(self.file, point)
+        append_line(self.file, point)
         return True

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import gymnasium as gym
 import tyro
@@ -21,16 +21,16 @@ from rich.table import Table
 from regrasp_datasets.quiet import quiet_environment
 from regrasp_datasets.rollout import make_env
 from regrasp_gym.rendering.film import write_film
+from regrasp_gym.reports.command_line import JsonFile, run_command
 from regrasp_gym.reports.trials import Record, Trial, crashes, run_trials, wilson, write_report
 from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
-from regrasp_train.command_end import ended
 from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.progress import Progress, Reached
 from regrasp_train.scenes import held_out
 
 
 @dataclass(frozen=True)
-class EvalCommand:
+class EvalOptions:
     """Run a policy in held-out scenes, and count.
 
     An episode succeeds if the environment says so at some step, at which it ends; it fails at the time limit, or when
@@ -60,20 +60,20 @@ class EvalCommand:
     """How many episodes are filmed."""
     records: Path = Path("outputs/eval.jsonl")
     """One JSON line per episode, appended to."""
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    json_file: JsonFile = None
     """Write the summary as JSON."""
 
 
 def main() -> int:
     """Entry point of ``regrasp-eval``: 0 if done, 1 if episodes crashed, 2 for wrong use, 130 for Ctrl-C."""
-    command = tyro.cli(EvalCommand, prog="regrasp-eval", description=EvalCommand.__doc__)
+    command = tyro.cli(EvalOptions, prog="regrasp-eval", description=EvalOptions.__doc__)
     quiet_environment()
     # An episode is one policy step after another: threads only get in each other's way.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    return ended("regrasp-eval", lambda: evaluate(command), "the same command goes on")
+    return run_command("regrasp-eval", lambda: evaluate(command), resume="the same command goes on")
 
 
-def evaluate(command: EvalCommand) -> int:
+def evaluate(command: EvalOptions) -> int:
     """Do what ``command`` says; 0, or 1 if episodes crashed.
 
     Raises:
@@ -106,7 +106,7 @@ def evaluate(command: EvalCommand) -> int:
     return 1 if summary["crashed"] else 0
 
 
-def setting_of(command: EvalCommand) -> Record:
+def setting_of(command: EvalOptions) -> Record:
     """What the episodes have in common."""
     env_id, kwargs = trained_in(command.policy)
     env_id = command.env or env_id or ("regrasp_gym/PandaYCB-v0" if kind_of(command.policy) == "expert" else None)
@@ -180,19 +180,19 @@ def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None
 
 def summarise(setting: Record, records: Sequence[Record]) -> Record:
     """Counts overall, by object and by the step reached, of episodes in the order of their seeds."""
-    ended = [record for record in records if "crashed" not in record]
-    targets = sorted({record["target"] for record in ended})
-    farthest = Counter(record["reached"] for record in ended)
+    finished = [record for record in records if "crashed" not in record]
+    targets = sorted({record["target"] for record in finished})
+    farthest = Counter(record["reached"] for record in finished)
     return {
         **setting,
         "seeds": [records[0]["trial"], records[-1]["trial"]] if records else [],
-        **_rate(ended),
-        "by_object": {name: _rate([record for record in ended if record["target"] == name]) for name in targets},
+        **_rate(finished),
+        "by_object": {name: _rate([record for record in finished if record["target"] == name]) for name in targets},
         "reached": {str(step): farthest.get(str(step), 0) for step in Reached},
-        "failures": dict(Counter(record["cause"] for record in ended if not record["success"]).most_common()),
-        "failed": [record["seed"] for record in ended if not record["success"]],
-        "steps_mean": sum(record["steps"] for record in ended) / max(len(ended), 1),
-        "seconds_mean": sum(record["seconds"] for record in ended) / max(len(ended), 1),
+        "failures": dict(Counter(record["cause"] for record in finished if not record["success"]).most_common()),
+        "failed": [record["seed"] for record in finished if not record["success"]],
+        "steps_mean": sum(record["steps"] for record in finished) / max(len(finished), 1),
+        "seconds_mean": sum(record["seconds"] for record in finished) / max(len(finished), 1),
         "crashed": crashes(records),
     }
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from regrasp_gym.reports.files import read_lines
 from regrasp_gym.reports.plots import COLOURS, draw
-from regrasp_gym.reports.trials import read_records, wilson
+from regrasp_gym.reports.trials import wilson
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,26 +33,10 @@ class CurvePoint:
     successes: int
 
 
-def append_point(path: Path, point: CurvePoint) -> None:
-    """Add an evaluation to a file of JSON lines."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as stream:
-        stream.write(json.dumps(asdict(point)) + "\n")
-
-
 def read_points(path: Path, last_step: int | None = None) -> list[CurvePoint]:
-    """Evaluations in a file, up to ``last_step``; none if there is no file. Half-written lines are left out."""
-    points = [CurvePoint(**record) for record in read_records(path)]
+    """Evaluations in a file, up to ``last_step``; none if there is no file. Half-written lines are skipped."""
+    points = [CurvePoint(**line) for line in read_lines(path)]
     return [point for point in points if last_step is None or point.steps <= last_step]
-
-
-def rewrite_points(path: Path, points: Sequence[CurvePoint]) -> None:
-    """Make a file hold just these evaluations: what a killed run did after its last checkpoint is done again."""
-    if not path.exists():
-        return
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text("".join(json.dumps(asdict(point)) + "\n" for point in points))
-    temporary.replace(path)
 
 
 def curve_report(points: Sequence[CurvePoint]) -> list[dict[str, Any]]:

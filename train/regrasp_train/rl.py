@@ -15,9 +15,10 @@ import tyro
 from rich.console import Console
 
 from regrasp_datasets.quiet import quiet_environment
-from regrasp_train.command_end import ended
+from regrasp_gym.reports.command_line import JsonFile, require_extra, run_command
+from regrasp_gym.reports.files import rewrite_lines
 from regrasp_train.configs import read_config
-from regrasp_train.errors import RunError, require_extra
+from regrasp_train.errors import RunError
 from regrasp_train.run_folder import (
     BUFFER,
     CURVE_FILE,
@@ -25,8 +26,8 @@ from regrasp_train.run_folder import (
     PROGRESS,
     check_new,
     checkpoints_in,
-    held,
     last_checkpoint,
+    lock_run,
     read_run,
     write_run,
 )
@@ -43,7 +44,7 @@ OUR_KEYS = ("n_envs", "n_timesteps", "env_kwargs", "demo_share")
 
 
 @dataclass(frozen=True)
-class RlCommand:
+class TrainRlOptions:
     """Train a policy by reinforcement learning with Stable-Baselines3: SAC with hindsight experience replay, or PPO.
 
     Success on validation scenes is measured as it learns, and makes the learning curve. Checkpoints, replay buffer
@@ -82,7 +83,7 @@ class RlCommand:
     --save-every, --eval-every and --eval-episodes can be changed."""
     progress: bool = True
     """Whether to show a progress bar."""
-    json: Path | None = None
+    json_file: JsonFile = None
     """File for the learning curve as JSON."""
     plot: Path | None = None
     """Picture of the learning curve."""
@@ -92,12 +93,12 @@ class RlCommand:
 
 def main() -> int:
     """Entry point of ``regrasp-train-rl``: 0 if done, 2 for wrong use, 130 for Ctrl-C."""
-    command = tyro.cli(RlCommand, prog="regrasp-train-rl", description=RlCommand.__doc__)
+    command = tyro.cli(TrainRlOptions, prog="regrasp-train-rl", description=TrainRlOptions.__doc__)
     quiet_environment()
-    return ended("regrasp-train-rl", lambda: train(command), f"go on with --run {command.run} --resume")
+    return run_command("regrasp-train-rl", lambda: train(command), resume=f"go on with --run {command.run} --resume")
 
 
-def train(command: RlCommand) -> int:
+def train(command: TrainRlOptions) -> int:
     """Do what ``command`` says; 0.
 
     Raises:
@@ -111,22 +112,22 @@ def train(command: RlCommand) -> int:
     if command.demos is not None:
         require_extra("regrasp-train-rl --demos", "lerobot")
     check_report(command)
-    settings = told_before(command) if command.resume else begin(command)
+    settings = resumed_settings(command) if command.resume else new_settings(command)
     import torch
     from stable_baselines3.common.callbacks import CallbackList, EvalCallback
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from regrasp_train.checkpoints import Checkpoints, CurvePoints
-    from regrasp_train.rl_envs import make_judging_env
+    from regrasp_train.rl_envs import make_eval_env
 
     torch.set_num_threads(threads())
-    with held(command.run):
+    with lock_run(command.run):
         write_run(command.run, settings)
         envs = learning_envs(settings)
         # A single environment is quickest to judge in, however many there are to learn in.
         warnings.filterwarnings("ignore", "Training and eval env are not of the same type")
         episodes = settings["eval_episodes"]
-        judging = DummyVecEnv([partial(make_judging_env, settings["env"], settings["env_kwargs"], episodes)])
+        judging = DummyVecEnv([partial(make_eval_env, settings["env"], settings["env_kwargs"], episodes)])
         try:
             model, clock, best = (restored if command.resume else new_model)(settings, envs, command)
             evaluation = EvalCallback(
@@ -162,7 +163,7 @@ def train(command: RlCommand) -> int:
     return 0
 
 
-def begin(command: RlCommand) -> dict[str, Any]:
+def new_settings(command: TrainRlOptions) -> dict[str, Any]:
     """Settings of a new run, once it is sure that it can begin."""
     from regrasp_datasets.features import base_env
     from regrasp_datasets.rollout import make_env
@@ -196,7 +197,7 @@ def begin(command: RlCommand) -> dict[str, Any]:
         "save_every": 20_000,
         "eval_every": 10_000,
         "eval_episodes": 20,
-        **changed(command),
+        **overrides(command),
         "demos": None if command.demos is None else str(command.demos),
         "demo_share": config.get("demo_share", 0.5),
         "seed": command.seed,
@@ -204,13 +205,13 @@ def begin(command: RlCommand) -> dict[str, Any]:
     }
 
 
-def told_before(command: RlCommand) -> dict[str, Any]:
+def resumed_settings(command: TrainRlOptions) -> dict[str, Any]:
     """Settings of a run that is to go on."""
     last_checkpoint(command.run)
-    return {**read_run(command.run), **changed(command)}
+    return {**read_run(command.run), **overrides(command)}
 
 
-def changed(command: RlCommand) -> dict[str, Any]:
+def overrides(command: TrainRlOptions) -> dict[str, Any]:
     """Settings that the command line gives, and that a resumption may give anew."""
     given = {
         "n_timesteps": command.steps,
@@ -233,7 +234,7 @@ def learning_envs(settings: dict[str, Any]) -> VecEnv:
     return VecMonitor(envs, info_keywords=("is_success",))
 
 
-def new_model(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> tuple[BaseAlgorithm, Clock, float]:
+def new_model(settings: dict[str, Any], envs: VecEnv, command: TrainRlOptions) -> tuple[BaseAlgorithm, Clock, float]:
     """An untrained model, with demonstrations if there are any; a new clock; the best return so far."""
     from stable_baselines3 import PPO
 
@@ -285,12 +286,12 @@ def fill(model: Any, settings: dict[str, Any], envs: VecEnv) -> None:
     Console().print(f"{len(episodes)} demonstrations succeed again: {frames} transitions in the replay buffer")
 
 
-def restored(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> tuple[BaseAlgorithm, Clock, float]:
+def restored(settings: dict[str, Any], envs: VecEnv, command: TrainRlOptions) -> tuple[BaseAlgorithm, Clock, float]:
     """The model of the last checkpoint with its replay buffer, the clock as it stood, and the best return till then."""
     from stable_baselines3 import PPO, SAC
 
     from regrasp_train.checkpoints import Clock
-    from regrasp_train.learning_curve import read_points, rewrite_points
+    from regrasp_train.learning_curve import read_points
 
     checkpoint = last_checkpoint(command.run)
     made = {"sac": SAC, "ppo": PPO}[settings["algo"]]
@@ -306,12 +307,14 @@ def restored(settings: dict[str, Any], envs: VecEnv, command: RlCommand) -> tupl
     # The model's own seed would draw the scenes and the noise of the run's beginning again.
     model.set_random_seed(settings["seed"] + progress["steps"])
     curve = command.run / CURVE_FILE
-    rewrite_points(curve, read_points(curve, progress["steps"]))
+    if curve.exists():
+        # Evaluations after the checkpoint are made again.
+        rewrite_lines(curve, read_points(curve, progress["steps"]))
     Console().print(f"Going on from step {progress['steps']}", highlight=False)
     return model, Clock(progress["seconds"]), -np.inf if progress["best"] is None else progress["best"]
 
 
-def check_report(command: RlCommand) -> None:
+def check_report(command: TrainRlOptions) -> None:
     """Raise `RunError` or `BenchError` if the learning curve could not be reported as asked for at the end."""
     from regrasp_gym.reports.plots import check_format
 
@@ -325,7 +328,7 @@ def check_report(command: RlCommand) -> None:
         names.append(run.name)
 
 
-def report(command: RlCommand, clock: Clock) -> None:
+def report(command: TrainRlOptions, clock: Clock) -> None:
     """Say how well it went, and write the learning curve where it was asked for."""
     from regrasp_gym.reports.trials import write_report
     from regrasp_train.learning_curve import curve_report, plot_curves, read_points
@@ -345,7 +348,7 @@ def report(command: RlCommand, clock: Clock) -> None:
         "curves": {name: curve_report(points) for name, points in curves.items()},
     }
     packages = ("regrasp-gym", "mujoco", "gymnasium", "stable-baselines3", "torch", "numpy")
-    write_report(command.json, summary, packages)
+    write_report(command.json_file, summary, packages)
     if curves:
         plot_curves(curves, command.plot, read_run(command.run)["env"])
 

@@ -54,7 +54,7 @@ def make_learning_env(env_id: str, env_kwargs: dict[str, Any]) -> gym.Env:
     return Float32(make_env(env_id, {**env_kwargs, "obs_type": "state"}))
 
 
-def make_judging_env(env_id: str, env_kwargs: dict[str, Any], episodes: int) -> gym.Env:
+def make_eval_env(env_id: str, env_kwargs: dict[str, Any], episodes: int) -> gym.Env:
     """An environment to be judged in: the first validation seeds in turn, each episode over on success."""
     first, kwargs = held_out(env_id, "val")
     kwargs = {**env_kwargs, **kwargs, "terminate_on_success": True}
