@@ -19,7 +19,7 @@ from rich.table import Table
 import regrasp_gym
 from regrasp_gym.errors import EnvError, SceneError
 from regrasp_gym.reports.trials import Record, Trial, crashes, machine, read_records, run_trials, write_report
-from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.seeds import FIRST_SEED, SPLITS, split_of
 
 ENV = "regrasp_gym/PandaYCB-v0"

@@ -11,8 +11,9 @@ from gymnasium import spaces
 from jaxtyping import Float
 
 from regrasp_gym.envs.reward import GOAL_SIZE
+from regrasp_gym.geometry.poses import canonical
 from regrasp_gym.simulation.scenario import Tolerance
-from regrasp_gym.simulation.world import World, canonical
+from regrasp_gym.simulation.world import World
 
 OTHER_SIZE = 11
 """Entries per object besides the target: present (0 or 1), pose (7), half extents (3). All 0 where there is none."""

@@ -9,7 +9,8 @@ import numpy as np
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.robots import panda
-from regrasp_gym.scenes.table_shelf import TableShelfConfig, make_scene
+from regrasp_gym.scenes.table_shelf import make_scene
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.simulation.scenario import RobotSetup, Scenario, Tolerance
 
 PANDA = RobotSetup(

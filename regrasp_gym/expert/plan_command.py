@@ -51,7 +51,7 @@ class PlanCommandOptions:
 def main() -> None:
     """Entry point."""
     options = tyro.cli(PlanCommandOptions, prog="regrasp-plan", description=PlanCommandOptions.__doc__)
-    # The process ends after one plan: while JAX traces the planner, the collector would only walk over objects that stay.
+    # The process ends after one plan: the collector would only walk over what JAX's tracing keeps.
     gc.disable()
     sys.exit(run_command("regrasp-plan", lambda: run(options)))
 

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.expert.expert import PlannerExpert
+from regrasp_gym.geometry.poses import Pose
 from regrasp_gym.rendering.film import write_film
-from regrasp_gym.scenes.scene import Pose
 from regrasp_planner import Grasp, Plan, SegmentKind, Stage, Trajectory
 from regrasp_planner.pose import rigid, wxyz_xyz
 

@@ -8,13 +8,14 @@ construction using on-site materials", Science Robotics 2023, doi 10.1126/scirob
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, HalfspaceIntersection
+from jaxtyping import Float
+from scipy.spatial import HalfspaceIntersection
 
+from regrasp_gym.checks import check_names, check_positive, check_ranges, check_seed
 from regrasp_gym.errors import SceneError
+from regrasp_gym.geometry.facets import find_facets
 from regrasp_gym.objects.model import Contact, ObjectModel, solid
 from regrasp_gym.objects.stone_looks import TONES, rough_stone
 
@@ -55,15 +56,9 @@ class StoneConfig:
     largest_extent: float = 1.5
 
     def __post_init__(self) -> None:
-        if not self.kinds or not set(self.kinds) <= set(KINDS):
-            raise SceneError(f"kinds is {self.kinds}; give some of {', '.join(KINDS)}")
-        for name in ("mass", "least_width"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high:
-                raise SceneError(f"{name} is {(low, high)}; give the least and the greatest, more than 0")
-        for name in ("density", "largest_extent"):
-            if getattr(self, name) <= 0:
-                raise SceneError(f"{name} is {getattr(self, name)}; it has to be more than 0")
+        check_names(self, "kinds", known=KINDS)
+        check_ranges(self, "mass", "least_width")
+        check_positive(self, "mass", "least_width", "density", "largest_extent")
 
 
 def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", tone: str | None = None) -> ObjectModel:
@@ -74,7 +69,6 @@ def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", ton
 def dressed(bare: ObjectModel, seed: int) -> ObjectModel:
     """The bare stone of a seed with the look of that seed."""
     facets = find_facets(bare.pieces[0])
-    assert facets is not None
     look_rng = _look_rng(seed)
     look_rng.choice(list(TONES))
     look = rough_stone(look_rng, facets.triangles, facets.normals[facets.facet], bare.label.removesuffix(" stone"))
@@ -99,8 +93,7 @@ def bare_stone(
         SceneError: negative seed, unknown tone, or no stone within the limits of ``config`` was found.
     """
     config = config or StoneConfig()
-    if seed < 0:
-        raise SceneError(f"stone seed is {seed}; give a non-negative integer")
+    check_seed(seed, "stone")
     rng = np.random.default_rng([seed, 0x570E])
     tone = tone or str(_look_rng(seed).choice(list(TONES)))
     if tone not in TONES:
@@ -110,8 +103,8 @@ def bare_stone(
         made = _polyhedron(_planes(rng, str(rng.choice(config.kinds))), mass / config.density)
         if made is None:
             continue
-        corners, facets = made
-        if _within(corners, facets.normals, config):
+        corners, normals = made
+        if _within(corners, normals, config):
             break
     else:
         raise SceneError(
@@ -174,105 +167,18 @@ def _spread(rng: np.random.Generator, count: int, jitter: float) -> Float[np.nda
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def _polyhedron(planes: np.ndarray, volume: float) -> tuple[np.ndarray, Facets] | None:
-    """Corners and facets of the intersection without its smallest facets, at the given volume, m³."""
+def _polyhedron(planes: np.ndarray, volume: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Corners and normals of the intersection without its smallest facets, scaled to the given volume (m³)."""
     for _ in range(4):
         corners = HalfspaceIntersection(planes, np.zeros(3)).intersections
         facets = find_facets(corners)
-        if facets is None:
+        if len(facets.points) < len(corners):
             return None
         share = facets.areas / facets.areas.sum()
         if share.min() >= _SMALLEST_FACET:
-            scale = (volume / facets.volume) ** (1 / 3)
-            return corners * scale, facets.scaled(scale)
+            return corners * (volume / facets.volume) ** (1 / 3), facets.normals
         large = facets.normals[share >= _SMALLEST_FACET]
         planes = planes[(planes[:, :3] @ large.T).max(axis=1) > 1 - 1e-9]
         if len(planes) < 6:
             return None
     return None
-
-
-@dataclass(frozen=True, eq=False)
-class Facets:
-    """The facets of a convex polyhedron, as triangles from each of their edges to their middle.
-
-    Attributes:
-        normals: (F, 3) unit outward normals.
-        facet: (T,) which facet a triangle belongs to.
-        triangles: (T, 3, 3) start and end of an edge, counter-clockwise from outside, and the facet's middle, metres.
-    """
-
-    normals: Float[np.ndarray, "F 3"]
-    facet: Int[np.ndarray, " T"]
-    triangles: Float[np.ndarray, "T 3 3"]
-
-    @cached_property
-    def areas(self) -> Float[np.ndarray, " F"]:
-        """(F,) square metres."""
-        a, b, c = np.moveaxis(self.triangles, 1, 0)
-        return np.bincount(self.facet, 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-
-    @cached_property
-    def volume(self) -> float:
-        """Cubic metres; the origin has to be inside."""
-        return float(np.linalg.det(self.triangles).sum() / 6)
-
-    @cached_property
-    def solid_angles(self) -> Float[np.ndarray, " F"]:
-        """(F,) from the origin, as shares of the sphere (Van Oosterom and Strackee, IEEE T-BME 1983)."""
-        unit = self.triangles / np.linalg.norm(self.triangles, axis=2, keepdims=True)
-        a, b, c = np.moveaxis(unit, 1, 0)
-        below = 1 + (a * b).sum(axis=1) + (b * c).sum(axis=1) + (a * c).sum(axis=1)
-        return np.bincount(self.facet, 2 * np.arctan2(np.linalg.det(unit), below)) / (4 * np.pi)
-
-    @cached_property
-    def margins(self) -> Float[np.ndarray, " F"]:
-        """(F,) distance (metres) of the origin, moved along the normal, from a facet's nearest edge; < 0 outside."""
-        a, b, _ = np.moveaxis(self.triangles, 1, 0)
-        inward = np.cross(self.normals[self.facet], b - a)
-        clearance = -(inward * a).sum(axis=1) / np.linalg.norm(inward, axis=1)
-        margins = np.full(len(self.normals), np.inf)
-        np.minimum.at(margins, self.facet, clearance)
-        return margins
-
-    @cached_property
-    def shortest_edges(self) -> Float[np.ndarray, " F"]:
-        """(F,) length of the shortest edge of each facet, metres."""
-        shortest = np.full(len(self.normals), np.inf)
-        np.minimum.at(shortest, self.facet, np.linalg.norm(self.triangles[:, 1] - self.triangles[:, 0], axis=1))
-        return shortest
-
-    def corners(self, facet: int) -> Float[np.ndarray, "K 3"]:
-        """(K, 3) corners of a facet, counter-clockwise from outside."""
-        triangles = self.triangles[self.facet == facet]
-        a, _, middle = triangles[0]
-        across = (a - middle) / np.linalg.norm(a - middle)
-        along = np.cross(self.normals[facet], across)
-        spokes = triangles[:, 0] - middle
-        return triangles[np.argsort(np.arctan2(spokes @ along, spokes @ across)), 0]
-
-    def scaled(self, factor: float) -> Facets:
-        """The same polyhedron scaled about the origin."""
-        return Facets(self.normals, self.facet, self.triangles * factor)
-
-
-def find_facets(points: Float[np.ndarray, "N 3"]) -> Facets | None:
-    """The facets of the hull of points that are all its corners; None if some are not."""
-    hull = ConvexHull(points)
-    if len(hull.vertices) != len(points):
-        return None
-    # Qhull splits facets into triangles, which have the same plane but for rounding.
-    same = np.logical_and.reduce([np.abs(np.subtract.outer(each, each)) < 1e-7 for each in hull.equations.T])
-    first, part = np.unique(same.argmax(axis=1), return_inverse=True)
-    normals = hull.equations[first, :3]
-    # The neighbour k of a triangle is across the edge opposite to its corner k.
-    which, k = np.nonzero(part[hull.neighbors] != part[:, None])
-    starts, ends = hull.simplices[which, (k + 1) % 3], hull.simplices[which, (k + 2) % 3]
-    facet = part[which]
-    count = np.bincount(facet)[:, None]
-    middles = np.column_stack([np.bincount(facet, points[starts, i] + points[ends, i]) for i in range(3)]) / (2 * count)
-    triangles = np.stack([points[starts], points[ends], middles[facet]], axis=1)
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    inward = (np.cross(b - a, c - a) * normals[facet]).sum(axis=1) < 0
-    triangles[inward, :2] = triangles[inward, 1::-1]
-    return Facets(normals, facet, triangles)

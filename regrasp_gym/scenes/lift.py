@@ -9,11 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from regrasp_gym.checks import check_names, check_positive, check_seed
 from regrasp_gym.errors import SceneError
+from regrasp_gym.geometry.poses import about_z, to_pose
 from regrasp_gym.objects.ycb import OBJECTS
 from regrasp_gym.scenes.resting import resting_poses
-from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
+from regrasp_gym.scenes.scene import PlacedObject, ReleasePatch, Scene, level_support
 
 
 @dataclass(frozen=True)
@@ -40,41 +43,30 @@ class LiftConfig:
     table_size: tuple[float, float, float] = (1.2, 1.5, 0.04)
 
     def __post_init__(self) -> None:
-        if not self.targets:
-            raise SceneError("targets is empty; name at least one object")
+        check_names(self, "targets", known=OBJECTS)
+        check_positive(self, "height")
         for name in self.targets:
-            if name not in OBJECTS:
-                raise SceneError(f"unknown object {name!r}; the objects are {', '.join(OBJECTS)}")
             least = min(pose.level_width for pose in resting_poses(OBJECTS[name]))
             if least > self.max_opening - self.opening_margin:
                 raise SceneError(
                     f"target {name!r} is {1e3 * least:.0f} mm wide however it lies; the gripper takes at most "
                     f"{1e3 * (self.max_opening - self.opening_margin):.0f} mm"
                 )
-        if self.height <= 0:
-            raise SceneError(f"height is {self.height}; give a height above 0 metres")
 
 
-@dataclass(frozen=True, eq=False)
-class LiftScene:
-    """One scene: pure data.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LiftScene(Scene):
+    """A scene of the lifting task.
 
-    Attributes:
-        seed, config: what it was made from.
-        target: the object to be lifted and where it starts.
-        goal_pose: (7,) where it is to be held.
-        fixtures: the table.
-        release: where it starts; nothing is put down in this task.
-        others: none.
+    ``goal_pose`` is where the target is to be held, ``release`` where it starts: nothing is put down in this task.
     """
 
-    seed: int
     config: LiftConfig
-    target: PlacedObject
-    goal_pose: Pose
-    fixtures: tuple[Fixture, ...]
-    release: ReleasePatch
-    others: tuple[PlacedObject, ...] = ()
+
+    @property
+    def others(self) -> tuple[PlacedObject, ...]:
+        """None."""
+        return ()
 
     @property
     def instruction(self) -> str:
@@ -96,33 +88,23 @@ def make_scene(seed: int, config: LiftConfig | None = None) -> LiftScene:
         SceneError: negative seed.
     """
     config = config or LiftConfig()
-    if seed < 0:
-        raise SceneError(f"scene seed is {seed}; give a non-negative integer")
+    check_seed(seed, "scene")
     rng = np.random.default_rng([seed, 0x11F7])
     model = OBJECTS[str(rng.choice(config.targets))]
     limit = config.max_opening - config.opening_margin
     resting = next(pose for pose in resting_poses(model) if pose.level_width <= limit)
     across = resting.level_axis
     yaw = _nearest_half_turn(np.pi / 2 - np.arctan2(across[1], across[0])) + rng.uniform(-config.yaw, config.yaw)
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ resting.rotation
+    rotation = Rotation.from_matrix(about_z(yaw) @ resting.rotation)
     half = np.array(config.size) / 2
     middle = np.array(config.center) + rng.uniform(-half, half)
-    start = np.concatenate([_quaternion(rotation), middle, [resting.height]])
-    length, width, thick = config.table_size
-    table = Fixture(
-        "table",
-        np.array([length, width, thick]),
-        np.array([1.0, 0.0, 0.0, 0.0, *config.table_center, -thick / 2]),
-        "table",
-        support=True,
-    )
+    start = to_pose(rotation.as_quat(scalar_first=True), [*middle, resting.height])
     return LiftScene(
         seed=int(seed),
         config=config,
         target=PlacedObject(model, start),
         goal_pose=start + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, config.height]),
-        fixtures=(table,),
+        fixtures=(level_support("table", config.table_size, config.table_center, "table"),),
         release=ReleasePatch(np.array([*config.center, 0.0]), half),
     )
 
@@ -130,10 +112,3 @@ def make_scene(seed: int, config: LiftConfig | None = None) -> LiftScene:
 def _nearest_half_turn(angle: float) -> float:
     """The same direction of an axis, turned by at most a right angle."""
     return float((angle + np.pi / 2) % np.pi - np.pi / 2)
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-    return quaternion if quaternion[0] >= 0 else -quaternion

@@ -6,7 +6,6 @@ evolves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
+from regrasp_gym.geometry.facets import Facets, counter_clockwise, find_facets
+from regrasp_gym.geometry.poses import turning_down
 from regrasp_gym.objects.model import ObjectModel
 
 MIN_MARGIN = 0.002
 """Least distance (metres) of the centre of mass from the edge of the facet it rests on."""
-
-_COPLANAR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,17 +63,16 @@ def resting_poses(model: ObjectModel) -> tuple[RestingPose, ...]:
     Carlisle, Canny, "Part pose statistics: estimators and experiments", IEEE T-RA 1999). Facets with less than
     `MIN_MARGIN` are left out.
     """
-    points = np.concatenate(model.pieces)
-    points = points[ConvexHull(points).vertices]
-    facets = _facets(points)
-    resting = [_roll_to_rest(facets, k) for k in range(len(facets))]
-    share = np.zeros(len(facets))
-    np.add.at(share, resting, [facet.solid_angle / (4 * np.pi) for facet in facets])
-    keep = [k for k in np.unique(resting) if facets[k].margin >= MIN_MARGIN]
-    keep = keep or [max(np.unique(resting), key=lambda k: facets[k].margin)]
+    facets = find_facets(np.concatenate(model.pieces))
+    count = len(facets.normals)
+    resting = [_roll_to_rest(facets, k) for k in range(count)]
+    share = np.zeros(count)
+    np.add.at(share, resting, [_solid_angle(facets, k) / (4 * np.pi) for k in range(count)])
+    keep = [k for k in np.unique(resting) if facets.margins[k] >= MIN_MARGIN]
+    keep = keep or [max(np.unique(resting), key=lambda k: facets.margins[k])]
     keep.sort(key=lambda k: -share[k])
     total = share[keep].sum()
-    return tuple(_resting_pose(points, facets[k], share[k] / total) for k in keep)
+    return tuple(_resting_pose(facets, k, share[k] / total) for k in keep)
 
 
 @lru_cache(maxsize=256)
@@ -94,50 +92,23 @@ def least_width(model: ObjectModel) -> float:
     return float(np.ptp(points @ normals.T, axis=0).min())
 
 
-@dataclass(frozen=True, eq=False)
-class _Facet:
-    """A facet: outward normal, offset from the centre of mass, corners in order, edge normals and clearances."""
-
-    normal: np.ndarray
-    corners: np.ndarray
-    indices: tuple[int, ...]
-    edge_clearance: np.ndarray
-    solid_angle: float
-
-    @property
-    def margin(self) -> float:
-        return float(self.edge_clearance.min())
+def _roll_to_rest(facets: Facets, start: int) -> int:
+    """The facet that the object finally rests on. Its centre of mass sinks with every roll, so this ends."""
+    now = start
+    while facets.margins[now] < 0:
+        edges = np.flatnonzero(facets.facet == now)
+        now = facets.across(int(edges[facets.edge_margins[edges].argmin()]))
+    return now
 
 
-def _facets(points: np.ndarray) -> list[_Facet]:
-    equations = ConvexHull(points).equations
-    facets: list[_Facet] = []
-    seen: set[frozenset[int]] = set()
-    for equation in equations:
-        on = np.flatnonzero(np.abs(points @ equation[:3] + equation[3]) < _COPLANAR)
-        if frozenset(on.tolist()) not in seen:
-            seen.add(frozenset(on.tolist()))
-            facets.append(_facet(points, equation[:3], on))
-    return facets
+def _solid_angle(facets: Facets, facet: int) -> float:
+    """Solid angle of a facet seen from the origin.
 
-
-def _facet(points: np.ndarray, normal: np.ndarray, on: np.ndarray) -> _Facet:
-    middle = points[on].mean(axis=0)
-    across = points[on[0]] - middle
-    across /= np.linalg.norm(across)
-    spokes = points[on] - middle
-    order = np.argsort(np.arctan2(spokes @ np.cross(normal, across), spokes @ across))
-    corners = points[on[order]]
-    edges = np.roll(corners, -1, axis=0) - corners
-    inward = np.cross(normal, edges)
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    # The centre of mass is the origin, and moving it along the normal does not change these.
-    clearance = -np.einsum("ij,ij->i", inward, corners)
-    return _Facet(normal, corners, tuple(on[order].tolist()), clearance, _solid_angle(corners))
-
-
-def _solid_angle(corners: np.ndarray) -> float:
-    """Solid angle of a polygon seen from the origin (Van Oosterom and Strackee, IEEE T-BME 1983)."""
+    `Facets.solid_angles` but for the last bits. Facets of round objects are alike, so these bits set the order of
+    resting poses, and the order decides which of them a seed draws.
+    """
+    on = np.unique(facets.edges[facets.facet == facet])
+    corners = counter_clockwise(facets.points[on], facets.normals[facet])
     total = 0.0
     for i in range(1, len(corners) - 1):
         a, b, c = corners[0], corners[i], corners[i + 1]
@@ -147,37 +118,15 @@ def _solid_angle(corners: np.ndarray) -> float:
     return total
 
 
-def _roll_to_rest(facets: Sequence[_Facet], start: int) -> int:
-    """Facet that the object rests on at last. The centre of mass sinks at every roll, so this ends."""
-    now = start
-    while facets[now].margin < 0:
-        edge = int(facets[now].edge_clearance.argmin())
-        indices = facets[now].indices
-        ends = {indices[edge], indices[(edge + 1) % len(indices)]}
-        now = next(k for k, facet in enumerate(facets) if k != now and ends <= set(facet.indices))
-    return now
-
-
-def _resting_pose(points: np.ndarray, facet: _Facet, probability: float) -> RestingPose:
-    rotation = _turning_down(facet.normal)
-    placed = points @ rotation.T
+def _resting_pose(facets: Facets, facet: int, probability: float) -> RestingPose:
+    rotation = turning_down(facets.normals[facet])
+    placed = facets.points @ rotation.T
     flat = placed[:, :2]
     return RestingPose(
         rotation=rotation,
         height=float(-placed[:, 2].min()),
-        down=facet.normal,
+        down=facets.normals[facet],
         probability=float(probability),
-        margin=facet.margin,
+        margin=float(facets.margins[facet]),
         footprint=flat[ConvexHull(flat).vertices],
     )
-
-
-def _turning_down(direction: np.ndarray) -> np.ndarray:
-    """The rotation by the least angle that turns a unit direction to −z, (3, 3)."""
-    down = np.array([0.0, 0.0, -1.0])
-    cosine = float(direction @ down)
-    if cosine < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    axis = np.cross(direction, down)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
+from regrasp_gym.geometry.poses import Pose
 from regrasp_gym.objects.model import ObjectModel
-
-Pose = Float[np.ndarray, " 7"]
-"""wxyz_xyz: unit quaternion, then position in metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +53,8 @@ class Fixture:
 class ReleasePatch:
     """Flat, horizontal rectangle that is kept free, where the target may be put down.
 
+    The planner's `ReleaseArea` without the planner, which would load JAX.
+
     Attributes:
         center: (3,) middle of the surface, metres, world.
         half_extents: (2,) half sizes along world x and y, metres.
@@ -64,41 +64,44 @@ class ReleasePatch:
     half_extents: Float[np.ndarray, " 2"]
 
 
-@runtime_checkable
-class Scene(Protocol):
-    """What an environment needs to know of a scene, whatever the scenario."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scene(ABC):
+    """One scene, pure data: what an environment needs to know of it, whatever the scenario.
+
+    Attributes:
+        seed, config: what it was made from.
+        target: the object to be moved and where it starts.
+        goal_pose: (7,) where it is to come to rest.
+        fixtures: everything that never moves, except the robot.
+        release: where the target may be put down in between.
+    """
+
+    seed: int
+    config: object
+    target: PlacedObject
+    goal_pose: Pose
+    fixtures: tuple[Fixture, ...]
+    release: ReleasePatch
 
     @property
-    def seed(self) -> int:
-        """The seed the scene was made from."""
-        ...
-
-    @property
-    def target(self) -> PlacedObject:
-        """The object to be moved."""
-        ...
-
-    @property
-    def goal_pose(self) -> Pose:
-        """(7,) where the target is to come to rest."""
-        ...
-
-    @property
+    @abstractmethod
     def others(self) -> tuple[PlacedObject, ...]:
-        """All objects but the target."""
-        ...
+        """All objects except the target."""
 
     @property
-    def fixtures(self) -> tuple[Fixture, ...]:
-        """Everything that never moves, but the robot."""
-        ...
-
-    @property
-    def release(self) -> ReleasePatch:
-        """Where the target may be put down in between."""
-        ...
-
-    @property
+    @abstractmethod
     def instruction(self) -> str:
         """The task in words."""
-        ...
+
+
+def level_support(name: str, size: tuple[float, float, float], center: tuple[float, float], material: str) -> Fixture:
+    """A box that objects may rest on, its top face at z = 0.
+
+    Args:
+        name: name of the fixture.
+        size: full edge lengths along world x, y and z, metres.
+        center: x and y of its middle, metres, world.
+        material: see `Fixture`.
+    """
+    pose = np.array([1.0, 0.0, 0.0, 0.0, *center, -size[2] / 2])
+    return Fixture(name, np.array(size), pose, material, support=True)

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from regrasp_gym.errors import SceneError
+from regrasp_gym.geometry.facets import Facets, find_facets
+from regrasp_gym.geometry.polygons import clearance, half_planes
+from regrasp_gym.geometry.poses import Pose, about_z, mujoco_quaternion, to_pose, turn, turning_down
 from regrasp_gym.objects.model import ObjectModel
-from regrasp_gym.objects.stones import Facets, find_facets
-from regrasp_gym.scenes.scene import PlacedObject, Pose
+from regrasp_gym.scenes.scene import PlacedObject
 
 SHORTEST_EDGE = 0.03
 """Least edge (metres) of a facet that a stone may lie on.
@@ -124,8 +125,9 @@ def seats(model: ObjectModel) -> tuple[Seat, ...]:
     Raises:
         SceneError: the object is not one convex piece whose points are all corners.
     """
-    facets = find_facets(model.pieces[0]) if len(model.pieces) == 1 else None
-    if facets is None:
+    piece, *more = model.pieces
+    facets = find_facets(piece)
+    if more or len(facets.points) < len(piece):
         raise SceneError(f"{model.name!r} is not one convex piece with corners only, as stones are")
     good = (facets.margins > 0) & (facets.shortest_edges >= SHORTEST_EDGE)
     return tuple(Seat(model, facets, int(k)) for k in np.flatnonzero(good))
@@ -157,17 +159,18 @@ class Lying:
     @property
     def footprint(self) -> Float[np.ndarray, "K 2"]:
         """(K, 2) what it covers along the plane's normal, in the plane's frame, metres."""
-        return self.seat.footprint @ turn(np.array(self.yaw)).T + self.position[:2]
+        return self.seat.footprint @ turn(self.yaw).T + self.position[:2]
 
     @property
     def contact(self) -> Float[np.ndarray, "K 2"]:
         """(K, 2) corners of the facet it lies on, in the plane's frame, metres."""
-        return self.seat.corners @ turn(np.array(self.yaw)).T + self.position[:2]
+        return self.seat.corners @ turn(self.yaw).T + self.position[:2]
 
     @property
     def pose(self) -> Pose:
         """(7,) in the world."""
-        return to_pose(*self.plane.to_world(self.rotation, self.position))
+        rotation, position = self.plane.to_world(self.rotation, self.position)
+        return to_pose(mujoco_quaternion(rotation), position)
 
     @property
     def object(self) -> PlacedObject:
@@ -178,82 +181,3 @@ class Lying:
         """(N, 3) corners in the world, metres."""
         rotation, position = self.plane.to_world(self.rotation, self.position)
         return self.model.pieces[0] @ rotation.T + position
-
-
-def turn(angles: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 2 2"]:
-    """Rotations of the plane by these angles, radians."""
-    c, s = np.cos(angles), np.sin(angles)
-    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
-
-
-def about_z(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation about z, radians."""
-    rotation = np.eye(3)
-    rotation[:2, :2] = turn(np.array(angle))
-    return rotation
-
-
-def turning_down(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation by the least angle that turns a unit direction to −z."""
-    x, y, z = direction
-    if z > 1 - 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    # Rodrigues' formula about direction × (−z) = (−y, x, 0).
-    cross = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1 - z)
-
-
-def half_planes(polygon: Float[np.ndarray, "*batch K 2"]) -> tuple[np.ndarray, np.ndarray]:
-    """Outward unit normals (*batch, K, 2) and offsets (*batch, K) of the edges of a counter-clockwise polygon."""
-    edges = np.roll(polygon, -1, axis=-2) - polygon
-    normals = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)
-    normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-    return normals, (normals * polygon).sum(axis=-1)
-
-
-def clearance(polygon: Float[np.ndarray, "K 2"], points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch"]:
-    """Distance (metres) of points inside a convex polygon from its nearest edge, negative outside."""
-    normals, offsets = half_planes(polygon)
-    return (offsets - points @ normals.T).min(axis=-1)
-
-
-def slide_apart(
-    moving: Float[np.ndarray, "T K 2"], ways: Float[np.ndarray, "T 2"], fixed: Float[np.ndarray, "L 2"], gap: float
-) -> Float[np.ndarray, " T"]:
-    """How far to slide convex polygons until they are at least ``gap`` from another one, from there on for good.
-
-    The gap is the greatest along the edge normals of both (separating axis theorem), never more than the distance.
-
-    Args:
-        moving: (T, K, 2) counter-clockwise polygons, metres.
-        ways: (T, 2) unit directions in which they slide.
-        fixed: (L, 2) counter-clockwise polygon, metres.
-        gap: metres.
-
-    Returns:
-        (T,) least distances ≥ 0, metres.
-    """
-    normals, offsets = half_planes(fixed)
-    apart = [(moving @ normals.T).min(axis=1) - offsets]
-    speed = [ways @ normals.T]
-    normals, offsets = half_planes(moving)
-    apart.append((normals @ fixed.T).min(axis=-1) - offsets)
-    speed.append(-np.einsum("tki,ti->tk", normals, ways))
-    apart, speed = np.concatenate(apart, axis=1), np.concatenate(speed, axis=1)
-    parting = speed > 1e-9
-    needed = np.where(parting, (gap - apart) / np.where(parting, speed, 1.0), np.inf)
-    return np.maximum(needed.min(axis=1), 0.0)
-
-
-def plane_frame(normal: Float[np.ndarray, " 3"], outward: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Right-handed frame with this unit normal as its z axis and its x axis as near to ``outward`` as can be."""
-    x = outward - (outward @ normal) * normal
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(normal, x), normal])
-
-
-def to_pose(rotation: Float[np.ndarray, "3 3"], position: Float[np.ndarray, " 3"]) -> Pose:
-    """wxyz_xyz with w ≥ 0 of a rotation matrix and a position."""
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
-    return np.concatenate([quaternion if quaternion[0] >= 0 else -quaternion, position])

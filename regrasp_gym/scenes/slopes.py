@@ -13,23 +13,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
+from regrasp_gym.checks import check_seed
 from regrasp_gym.errors import SceneError
+from regrasp_gym.geometry.polygons import clearance, slide_apart
+from regrasp_gym.geometry.poses import mujoco_quaternion, plane_frame, to_pose, turn, turning_down
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.stone_looks import TONES
 from regrasp_gym.objects.stones import bare_stone, dressed, stone
-from regrasp_gym.scenes.scene import Fixture, PlacedObject, Pose, ReleasePatch
-from regrasp_gym.scenes.slope_resting import (
-    Lying,
-    Plane,
-    Seat,
-    clearance,
-    plane_frame,
-    seats,
-    slide_apart,
-    to_pose,
-    turn,
-    turning_down,
-)
+from regrasp_gym.scenes.scene import Fixture, PlacedObject, ReleasePatch, Scene, level_support
+from regrasp_gym.scenes.slope_resting import Lying, Plane, Seat, seats
 from regrasp_gym.scenes.slopes_config import SlopesConfig
 
 _DRAWS = 48
@@ -42,36 +34,26 @@ _TARGETS = 12
 """Targets tried before a config counts as impossible."""
 
 
-@dataclass(frozen=True, eq=False)
-class SlopesScene:
-    """One scene: pure data.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SlopesScene(Scene):
+    """A scene of the excavator scenario.
 
     Attributes:
-        seed, config: what it was made from.
-        target: the stone to be moved and where it starts.
-        goal_pose: (7,) where it is to come to rest.
         pick_stones: the other stones on the pick slope.
         place_stones: the stones on the place slope.
         base: name of the stone that the goal is on, or None if it is on the slope.
         same_side: whether the target lies on the same facet at the start and at the goal.
-        fixtures: ground and slopes.
-        release: the free patch of ground.
     """
 
-    seed: int
     config: SlopesConfig
-    target: PlacedObject
-    goal_pose: Pose
     pick_stones: tuple[PlacedObject, ...]
     place_stones: tuple[PlacedObject, ...]
     base: str | None
     same_side: bool
-    fixtures: tuple[Fixture, ...]
-    release: ReleasePatch
 
     @property
     def others(self) -> tuple[PlacedObject, ...]:
-        """All stones but the target."""
+        """All stones except the target."""
         return self.pick_stones + self.place_stones
 
     @property
@@ -99,8 +81,7 @@ def make_scene(seed: int, config: SlopesConfig | None = None) -> SlopesScene:
         SceneError: negative seed, or no target or goal that the config allows was found; the message names the field.
     """
     config = config or SlopesConfig()
-    if seed < 0:
-        raise SceneError(f"scene seed is {seed}; give a non-negative integer")
+    check_seed(seed, "scene")
     rng = np.random.default_rng([seed, 0x5709E])
     # Streams of their own: what lies on one slope does not change the other slope.
     pick_rng, place_rng = rng.spawn(2)
@@ -154,7 +135,9 @@ class _Slope:
     def fixture(self) -> Fixture:
         size = self.config.slope_size, self.config.slope_size, self.config.slope_thickness
         middle = self.plane.origin - self.config.slope_thickness / 2 * self.plane.rotation[:, 2]
-        return Fixture(self.name, np.array(size), to_pose(self.plane.rotation, middle), "earth", support=True)
+        return Fixture(
+            self.name, np.array(size), to_pose(mujoco_quaternion(self.plane.rotation), middle), "earth", support=True
+        )
 
     def put(self, placed: Lying, *more: np.ndarray) -> None:
         """Cover what the stone and ``more`` points in the world cover; the next stones gather around it."""
@@ -327,5 +310,4 @@ def _seed(rng: np.random.Generator) -> int:
 
 @lru_cache(maxsize=8)
 def _ground(config: SlopesConfig) -> Fixture:
-    size = np.array([config.ground_size, config.ground_size, 1.0])
-    return Fixture("ground", size, np.array([1.0, 0, 0, 0, 0, 0, -0.5]), "gravel", support=True)
+    return level_support("ground", (config.ground_size, config.ground_size, 1.0), (0.0, 0.0), "gravel")

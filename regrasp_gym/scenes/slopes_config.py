@@ -6,25 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from regrasp_gym.checks import check_probabilities, check_ranges
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.stones import FRICTION, StoneConfig
 
 MAX_OTHERS = 10
 """Most stones besides the target: what observations have room for."""
-
-_RANGES = (
-    "pick_azimuth",
-    "place_azimuth",
-    "slope_distance",
-    "inclination",
-    "downhill",
-    "lift",
-    "pick_stones",
-    "place_stones",
-    "pick_gap",
-    "goal_gap",
-    "goal_yaw",
-)
 
 
 @dataclass(frozen=True)
@@ -108,16 +95,9 @@ class SlopesConfig:
     ground_size: float = 40.0
 
     def __post_init__(self) -> None:
-        for name in _RANGES:
-            low, high = getattr(self, name)
-            if not low <= high:
-                raise SceneError(f"{name} is {(low, high)}; give the least, then the greatest")
-        for name in ("pick_stones", "place_stones", "pick_gap", "goal_gap", "inclination"):
-            if getattr(self, name)[0] < 0:
-                raise SceneError(f"{name} is {getattr(self, name)}; it cannot be less than 0")
-        for name in ("same_side", "on_top"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise SceneError(f"{name} is {getattr(self, name)}; it is a probability, from 0 to 1")
+        check_ranges(self, "pick_azimuth", "place_azimuth", "slope_distance", "downhill", "lift", "goal_yaw")
+        check_ranges(self, "pick_stones", "place_stones", "pick_gap", "goal_gap", "inclination", least=0)
+        check_probabilities(self, "same_side", "on_top")
         if self.pick_stones[1] + self.place_stones[1] > MAX_OTHERS:
             raise SceneError(
                 f"pick_stones {self.pick_stones} and place_stones {self.place_stones} may be more than {MAX_OTHERS} "

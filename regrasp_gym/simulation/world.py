@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_gym.errors import SceneError, StateError
+from regrasp_gym.geometry.poses import Pose, canonical, mujoco_quaternion
 from regrasp_gym.rendering.setting import GOAL_GROUP, GOAL_RGBA, add_visuals
-from regrasp_gym.scenes.scene import Fixture, Pose, Scene
+from regrasp_gym.scenes.scene import Fixture, Scene
 from regrasp_gym.simulation import physics
 from regrasp_gym.simulation.scenario import RobotSetup, Scenario
 
 _GOAL = "goal"
 
-_POSITIVE = np.array([1.0, 0.41, 0.33, 0.27])
 
 _TOUCHING = 1e-5
 
@@ -92,8 +92,7 @@ class World:
     @property
     def gripper_pose(self) -> Pose:
         """(7,) of the gripper frame, world."""
-        quaternion = np.empty(4)
-        mujoco.mju_mat2Quat(quaternion, self.data.site_xmat[self._site])
+        quaternion = mujoco_quaternion(self.data.site_xmat[self._site])
         return canonical(np.concatenate([quaternion, self.data.site_xpos[self._site]]))
 
     @property
@@ -225,16 +224,6 @@ class World:
         # From qpos, not xpos, which is rounded differently after a state is restored.
         position, quaternion = self.data.qpos[address : address + 3], self.data.qpos[address + 3 : address + 7]
         return canonical(np.concatenate([quaternion, position]))
-
-
-def canonical(pose: Float[np.ndarray, "*batch 7"]) -> Float[np.ndarray, "*batch 7"]:
-    """The same poses with, of the two unit quaternions of a rotation, the one with w + 0.41 x + 0.33 y + 0.27 z ≥ 0.
-
-    Not w ≥ 0: objects often lie upside down, where w is zero but for noise, and the sign would toggle with it.
-    """
-    quaternion = pose[..., :4] / np.linalg.norm(pose[..., :4], axis=-1, keepdims=True)
-    flip = (quaternion @ _POSITIVE)[..., None] < 0
-    return np.concatenate([np.where(flip, -quaternion, quaternion), pose[..., 4:]], axis=-1)
 
 
 def _compile(base: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:

@@ -12,7 +12,7 @@ import regrasp_gym  # noqa: F401  registers the environments
 from regrasp_bench import certify
 from regrasp_bench.certify import CRITERIA, CertifyCommand, kind_of, scenes_digest, setting_of
 from regrasp_gym.errors import OptionError, SceneError
-from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.seeds import FIRST_SEED, SPLITS, read_seeds, split_of
 
 IDS = {"regrasp_gym/PandaYCBDirect-v0": "panda_ycb_direct", "regrasp_gym/PandaYCBRegrasp-v0": "panda_ycb_regrasp"}

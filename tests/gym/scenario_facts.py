@@ -18,7 +18,7 @@ from regrasp_gym.envs.panda_ycb import PANDA_YCB, PandaYCBEnv
 from regrasp_gym.objects.model import solid
 from regrasp_gym.scenes.scene import PlacedObject, Scene
 from regrasp_gym.scenes.slopes_config import SlopesConfig
-from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.simulation.scenario import Scenario
 
 OBS_TYPES = ("state", "pixels_agent_pos")

@@ -15,7 +15,7 @@ from gymnasium.envs.registration import WrapperSpec
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB
-from regrasp_gym.scenes.table_shelf import TableShelfConfig
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.simulation.scenario import RobotSetup
 from regrasp_planner import Robot
 

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from regrasp_gym.geometry.poses import Pose
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.rendering.renderer import SceneRenderer
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import Look, Rgba, add_look, revolve
-from regrasp_gym.scenes.scene import Pose
 
 Picture = UInt8[np.ndarray, "H W 3"]
 

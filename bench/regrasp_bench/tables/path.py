@@ -140,7 +140,7 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
 
 
 def _compare(query: Query, time_limit: float, ours_first: bool) -> Record:
-    checker = ExactChecker(query.model, query.theta)
+    checker = ExactChecker(query.space.model, query.space.theta)
     free = checker.free(np.stack([query.start, query.goal]))
     record: Record = {"kind": query.kind, "free_ends": free}
     turns = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
@@ -153,7 +153,7 @@ def _compare(query: Query, time_limit: float, ours_first: bool) -> Record:
 
 def _line(line: Line) -> Record:
     """Collisions of a straight line; the end at the grasp may be in contact already, and no deeper than it is there."""
-    checker = ExactChecker(line.model, line.theta)
+    checker = ExactChecker(line.space.model, line.space.theta)
     touching = np.maximum(-checker.clearances(line.trajectory.start[None])[0], 0.0)
     allowed = np.where(touching > 0, touching + _TOUCH, 0.0)
     return {
@@ -165,7 +165,7 @@ def _line(line: Line) -> Record:
 def _ours(query: Query, checker: ExactChecker) -> Record:
     from regrasp_planner.path.path_plan import plan_path
 
-    answer = partial(plan_path, query.model, query.start, query.goal, query.theta, query.options)
+    answer = partial(plan_path, query.space, query.start, query.goal, query.options)
     # The first call compiles what has not been; the answer is the same.
     answer()
     result = answer()
@@ -178,8 +178,7 @@ def _ours(query: Query, checker: ExactChecker) -> Record:
 
 
 def _rrt(query: Query, checker: ExactChecker, time_limit: float) -> Record:
-    arm = query.model.arrays.robot.arm
-    limits = np.asarray(arm.lower, float), np.asarray(arm.upper, float)
+    limits = query.space.lower, query.space.upper
     result = rrt_connect(checker, query.start, query.goal, *limits, time_limit)
     record: Record = {"success": result.waypoints is not None, "seconds": result.seconds}
     record |= {"simplify_seconds": result.simplify_seconds, "checked": result.checked, "length": None, "collisions": []}

@@ -13,8 +13,9 @@ from regrasp_bench.peers.coal_checker import ExactChecker
 if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv
     from regrasp_planner import Robot, Task, Trajectory
-    from regrasp_planner.collision.model import CollisionModel
-    from regrasp_planner.path.path_plan import PathOptions, PathResult
+    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.path_plan import PathResult
+    from regrasp_planner.path.space import ConfigurationSpace
 
 KINDS = ("planned", "planned, holding", "random", "random, holding")
 _ATTEMPTS = 1000
@@ -26,17 +27,15 @@ class Query:
 
     Attributes:
         kind: one of `KINDS`.
-        model: bodies and pairs.
+        space: bodies, pairs and finger coordinate.
         start, goal: (n,) configurations, radians.
-        theta: finger coordinate.
         options: of PathPlan.
     """
 
     kind: str
-    model: CollisionModel
+    space: ConfigurationSpace
     start: Float[np.ndarray, " n"]
     goal: Float[np.ndarray, " n"]
-    theta: float
     options: PathOptions
 
 
@@ -45,13 +44,11 @@ class Line:
     """A straight line of the gripper that PathPlan found, from a grasp.
 
     Attributes:
-        model: bodies and pairs.
-        theta: finger coordinate.
+        space: bodies, pairs and finger coordinate.
         trajectory: the motion.
     """
 
-    model: CollisionModel
-    theta: float
+    space: ConfigurationSpace
     trajectory: Trajectory
 
 
@@ -73,31 +70,29 @@ class _Recorder:
 
     def on_path(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
         """Keep the query."""
         del result
-        kind = "planned, holding" if "held" in model.body_names else "planned"
-        self.queries.append(Query(kind, model, start, goal, theta, options))
+        kind = "planned, holding" if "held" in space.model.body_names else "planned"
+        self.queries.append(Query(kind, space, start, goal, options))
 
     def on_line(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
         """Keep the line, if there is one."""
         del start, displacement, options
         if result.trajectory is not None:
-            self.lines.append(Line(model, theta, result.trajectory))
+            self.lines.append(Line(space, result.trajectory))
 
 
 def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:
@@ -106,7 +101,8 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     There are ``count`` of either kind, or fewer where that many tries do not find them.
     """
     from regrasp_planner.grasp.grasp_gen import generate_grasps
-    from regrasp_planner.path.path_plan import PathOptions
+    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.space import ConfigurationSpace
     from regrasp_planner.stages.collision_models import CollisionModels
     from regrasp_planner.stages.options import MotionOptions
 
@@ -115,16 +111,16 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
     if grasps:
         worlds.append(("random, holding", models.holding(grasps[0]), float(grasps[0].theta)))
-    lower, upper = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
     queries: list[Query] = []
     for kind, model, theta in worlds:
+        space = ConfigurationSpace(model, theta)
         checker = ExactChecker(model, theta)
         found: list[Query] = []
         for _ in range(_ATTEMPTS):
             if len(found) == count:
                 break
-            start, goal = rng.uniform(lower, upper, (2, robot.arm.dof))
+            start, goal = rng.uniform(space.lower, space.upper, (2, robot.arm.dof))
             if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
-                found.append(Query(kind, model, start, goal, theta, PathOptions()))
+                found.append(Query(kind, space, start, goal, PathOptions()))
         queries += found
     return queries

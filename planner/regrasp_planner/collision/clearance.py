@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from regrasp_planner.batching import bucket
+from regrasp_planner.collision.least_slack import least_slack
 from regrasp_planner.collision.model import CollisionArrays, CollisionModel, body_frames, gripper_pairs, pair_bounds
 from regrasp_planner.geometry.distance import hull_gap, separation
 from regrasp_planner.robot.kinematics import forward_kinematics
@@ -158,23 +159,12 @@ def _clearance_chunk(
     poses, bounds = posing(model.arrays, jnp.asarray(states[fill]), jnp.asarray(theta[fill]))
     bounds, poses = np.asarray(bounds)[:count], np.asarray(poses)
     margin = np.asarray(model.arrays.margin)
-    value, pair = np.full(count, float(cap)), np.full(count, -1)
 
-    def measure(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> None:
-        measured = _measure(model, poses, rows, pairs, exact) - margin[pairs]
-        for i in np.argsort(-measured, kind="stable"):
-            if measured[i] < value[rows[i]]:
-                value[rows[i]], pair[rows[i]] = measured[i], pairs[i]
+    def slack(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> Float[np.ndarray, " L"]:
+        return _measure(model, poses, rows, pairs, exact) - margin[pairs]
 
-    nearest = bounds.argmin(1)
-    rows = np.flatnonzero(bounds[np.arange(count), nearest] < cap)
-    measure(rows, nearest[rows])
-    open_ = bounds < value[:, None]
-    if cap == 0:
-        # It is known by now that these are not free.
-        open_[value < 0] = False
-    open_[rows, nearest[rows]] = False
-    measure(*np.nonzero(open_))
+    # With a cap of 0 only the sign counts.
+    value, pair = least_slack(bounds, slack, cap, floor=0.0 if cap == 0 else -np.inf)
     distance = np.where(pair >= 0, value + margin[pair], cap)
     return Clearance(value, distance, pair)
 

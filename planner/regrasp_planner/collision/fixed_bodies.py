@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import RigidTransform
 
 from regrasp_planner.batching import bucket_size
+from regrasp_planner.collision.least_slack import least_slack
 from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.hull import hull_planes
 from regrasp_planner.geometry.support import ConvexBody
@@ -58,23 +59,15 @@ class FixedBodies:
             return np.full(count, float(cap))
         bounds = np.stack([self._bounds(m, at, row, cap) for m, at, row in zip(moving, placed, needed, strict=True)], 1)
         bounds = bounds.reshape(count, -1)
-        value = np.full(count, float(cap))
         poses = np.stack([wxyz_xyz(at) for at in placed], axis=1)
         stack, flat = _stacked(moving), needed.reshape(-1)
 
-        def measure(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> None:
+        def slack(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> Float[np.ndarray, " L"]:
             m, w = np.divmod(pairs, len(self.bodies))
             assert self._stacked is not None
-            gaps = _distances(stack, m, poses[rows, m], self._stacked, w, self.poses[w])
-            np.minimum.at(value, rows, gaps - flat[pairs])
+            return _distances(stack, m, poses[rows, m], self._stacked, w, self.poses[w]) - flat[pairs]
 
-        nearest = bounds.argmin(axis=1)
-        rows = np.flatnonzero(bounds[np.arange(count), nearest] < cap)
-        measure(rows, nearest[rows])
-        open_ = (bounds < value[:, None]) & (value >= 0)[:, None]
-        open_[rows, nearest[rows]] = False
-        measure(*np.nonzero(open_))
-        return value
+        return least_slack(bounds, slack, cap)[0]
 
     def _bounds(
         self, body: ConvexBody, placed: RigidTransform, needed: Float[np.ndarray, " W"], cap: float

@@ -23,6 +23,8 @@ from jaxtyping import Float, Int
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
+from regrasp_planner.path.polyline import chord_lengths, points_at
+
 _BENDING = 6e-3
 """w: weight of ∫|q''|² against ∫|q'|². Bends spread over about √w ≈ 8 % of the path; with less, a path may race through
 a thin wall between two samples."""
@@ -91,7 +93,8 @@ def bspline(control_points: Float[np.ndarray, "C n"]) -> BSpline:
 
 def fit_control_points(polyline: Float[np.ndarray, "K n"], count: int) -> Float[np.ndarray, "C n"]:
     """Control points (count, n) of the spline closest to a polyline traversed at even speed; ends are exact."""
-    s, points = _resample(polyline, 4 * count)
+    s = np.linspace(0.0, 1.0, 4 * count)
+    points = points_at(polyline, s * chord_lengths(polyline)[-1])
     basis = BSpline.design_matrix(s, knots(count), 3).toarray()
     ends = points[[0, -1]]
     rest = points - basis[:, [0, -1]] @ ends
@@ -103,18 +106,6 @@ def fit_control_points(polyline: Float[np.ndarray, "K n"], count: int) -> Float[
     normal = inner.T @ inner + 1e-3 * np.eye(count - 2)
     solution = np.linalg.solve(normal, inner.T @ rest + 1e-3 * prior[1:-1])
     return np.concatenate([ends[:1], solution, ends[1:]])
-
-
-def _resample(
-    polyline: Float[np.ndarray, "K n"], count: int
-) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N n"]]:
-    chord = np.linalg.norm(np.diff(polyline, axis=0), axis=1)
-    length = np.concatenate([[0.0], np.cumsum(chord)])
-    s = np.linspace(0.0, 1.0, count)
-    if length[-1] == 0.0:
-        return s, np.repeat(polyline[:1], count, axis=0)
-    at = s * length[-1]
-    return s, np.stack([np.interp(at, length, polyline[:, j]) for j in range(polyline.shape[1])], axis=1)
 
 
 def smoothness_form(count: int) -> Float[np.ndarray, "C C"]:

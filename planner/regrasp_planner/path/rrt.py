@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from regrasp_planner.path.polyline import chord_lengths, points_at
+
 Validity = Callable[[Float[np.ndarray, "N n"]], Bool[np.ndarray, " N"]]
 """Which of these configurations are free."""
 
@@ -147,13 +149,6 @@ def _free_fraction(
     return np.minimum(first_hit - 1, steps) / steps
 
 
-def edges_free(
-    polyline: Float[np.ndarray, "K n"], free: Validity, resolution: float = 0.05
-) -> Bool[np.ndarray, " K-1"]:
-    """Which edges of a polyline are free at every tested configuration."""
-    return _free_fraction(polyline[:-1], polyline[1:], free, resolution) >= 1.0
-
-
 def shortcut(
     polyline: Float[np.ndarray, "K n"],
     free: Validity,
@@ -165,12 +160,11 @@ def shortcut(
     for _ in range(rounds):
         if len(polyline) <= 2:
             break
-        chord = np.linalg.norm(np.diff(polyline, axis=0), axis=1)
-        s = np.concatenate([[0.0], np.cumsum(chord)])
+        s = chord_lengths(polyline)
         cuts = np.sort(rng.uniform(0.0, s[-1], size=(8, 2)), axis=1)
         # Always among the candidates: the whole way, and the way past each inner corner.
         cuts = np.concatenate([[[0.0, s[-1]]], np.stack([s[:-2], s[2:]], axis=1)[:6], cuts])
-        points = np.stack([np.interp(cuts, s, polyline[:, j]) for j in range(polyline.shape[1])], axis=-1)
+        points = points_at(polyline, cuts)
         length = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
         saving = (cuts[:, 1] - cuts[:, 0]) - length
         ok = _free_fraction(points[:, 0], points[:, 1], free, resolution) >= 1.0

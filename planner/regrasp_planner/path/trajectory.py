@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
-from scipy.interpolate import BSpline, make_interp_spline
+from jaxtyping import Float, Int
+from scipy.interpolate import BSpline, CubicHermiteSpline, make_interp_spline
+
+from regrasp_planner.path.polyline import chord_lengths
 
 _GRID_SPACING = 0.01
 """Path length between two grid points of the time parametrisation, radians (largest joint)."""
@@ -57,31 +61,24 @@ class Trajectory:
 
     def at(self, t: float | Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch n"]:
         """Positions at time t (seconds), held at the ends outside the time span; (n,) for a scalar, (m, n) for (m,)."""
-        return self._hermite(t, 0)
+        return self._spline(np.clip(t, self.times[0], self.times[-1]))
 
     def velocity_at(self, t: float | Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch n"]:
         """Velocities at time t, rad/s; zero outside the time span."""
-        return self._hermite(t, 1)
+        return self._derivative_at(t, 1)
 
     def acceleration_at(self, t: float | Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch n"]:
         """Accelerations at time t, rad/s²; zero outside the time span, from the right where they jump."""
-        return self._hermite(t, 2)
+        return self._derivative_at(t, 2)
 
-    def _hermite(self, t: float | Float[np.ndarray, "*batch"], order: int) -> Float[np.ndarray, "*batch n"]:
+    @cached_property
+    def _spline(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.times, self.positions, self.velocities)
+
+    def _derivative_at(self, t: float | Float[np.ndarray, "*batch"], order: int) -> Float[np.ndarray, "*batch n"]:
         t = np.asarray(t, float)
-        i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        h = (self.times[i + 1] - self.times[i])[..., None]
-        u = np.clip((t[..., None] - self.times[i][..., None]) / h, 0.0, 1.0)
-        p0, p1 = self.positions[i], self.positions[i + 1]
-        m0, m1 = h * self.velocities[i], h * self.velocities[i + 1]
-        # Power basis of the Hermite cubic: p0 + m0 u + b u² + a u³.
-        b, a = 3 * (p1 - p0) - 2 * m0 - m1, 2 * (p0 - p1) + m0 + m1
-        if order == 0:
-            return p0 + u * (m0 + u * (b + u * a))
         inside = ((t >= self.times[0]) & (t <= self.times[-1]))[..., None]
-        if order == 1:
-            return np.where(inside, (m0 + u * (2 * b + u * 3 * a)) / h, 0.0)
-        return np.where(inside, (2 * b + 6 * a * u) / h**2, 0.0)
+        return np.where(inside, self._spline(t, order), 0.0)
 
     def resampled(self, dt: float) -> Trajectory:
         """The same motion sampled every ``dt`` seconds; the last sample is the end of the motion, at most dt later."""
@@ -119,6 +116,62 @@ class Trajectory:
         return float((velocity / max_velocity).max()), float((acceleration / max_acceleration).max())
 
 
+class TrajectoryIntervals:
+    """Intervals of a trajectory, halved again and again, with bounds of how far each joint turns in them."""
+
+    def __init__(self, trajectory: Trajectory):
+        self.trajectory = trajectory
+        pieces = self._within(trajectory.times[:-1], trajectory.times[1:])
+        self._turned = np.concatenate([np.zeros_like(pieces[:1]), np.cumsum(pieces, axis=0)])
+
+    def cover(self, count: int) -> tuple[Float[np.ndarray, " I"], Float[np.ndarray, " I"]]:
+        """About ``count`` intervals from sample to sample that cover all; the joints turn about equally far in each."""
+        turned = self._turned.sum(axis=1)
+        at = np.searchsorted(turned, np.linspace(0.0, turned[-1], count + 1))
+        edges = np.unique(np.concatenate([[0], np.minimum(at, len(turned) - 1), [len(turned) - 1]]))
+        return self.trajectory.times[edges[:-1]], self.trajectory.times[edges[1:]]
+
+    def halved(
+        self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]
+    ) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " J"]]:
+        """Two intervals for each: split at a sample while there is one inside, then in the middle."""
+        first, last = self._samples(begin, end)
+        middle = np.where(last - first > 1, self.trajectory.times[(first + last) // 2], 0.5 * (begin + end))
+        return np.concatenate([begin, middle]), np.concatenate([middle, end])
+
+    def variation(self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]) -> Float[np.ndarray, "I n"]:
+        """Bound of each joint's total variation over each interval, radians."""
+        first, last = self._samples(begin, end)
+        several = last - first > 1
+        out = self._turned[last] - self._turned[first]
+        out[~several] = self._within(begin[~several], end[~several])
+        return out
+
+    def _samples(
+        self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]
+    ) -> tuple[Int[np.ndarray, " I"], Int[np.ndarray, " I"]]:
+        times = self.trajectory.times
+        return np.searchsorted(times, begin, side="right") - 1, np.searchsorted(times, end, side="left")
+
+    def _within(self, begin: Float[np.ndarray, " I"], end: Float[np.ndarray, " I"]) -> Float[np.ndarray, "I n"]:
+        """Length of the control polygon of the Hermite cubic, for intervals within one piece each."""
+        q0, q1 = self.trajectory.at(begin), self.trajectory.at(end)
+        third = (end - begin)[:, None] / 3
+        c0 = q0 + third * self.trajectory.velocity_at(begin)
+        c1 = q1 - third * self.trajectory.velocity_at(end)
+        return np.abs(c0 - q0) + np.abs(c1 - c0) + np.abs(q1 - c1)
+
+
+def joined(pieces: Sequence[Trajectory]) -> Trajectory:
+    """Trajectories one after another; each starts where the last one ended, at rest."""
+    times, positions, velocities = [pieces[0].times], [pieces[0].positions], [pieces[0].velocities]
+    for piece in pieces[1:]:
+        times.append(times[-1][-1] + piece.times[1:])
+        positions.append(piece.positions[1:])
+        velocities.append(piece.velocities[1:])
+    return Trajectory(np.concatenate(times), np.concatenate(positions), np.concatenate(velocities))
+
+
 def interpolating_path(waypoints: Float[np.ndarray, "K n"]) -> BSpline:
     """C² cubic spline on [0, 1] through waypoints (K ≥ 2), parametrised by chord length.
 
@@ -126,10 +179,10 @@ def interpolating_path(waypoints: Float[np.ndarray, "K n"]) -> BSpline:
         ValueError: if two neighbouring waypoints coincide.
     """
     waypoints = np.asarray(waypoints, float)
-    chord = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
-    if len(waypoints) < 2 or not (chord > 0).all():
+    lengths = chord_lengths(waypoints)
+    if len(waypoints) < 2 or not (np.diff(lengths) > 0).all():
         raise ValueError("a path needs at least two waypoints, no two neighbours equal")
-    s = np.concatenate([[0.0], np.cumsum(chord)]) / chord.sum()
+    s = lengths / lengths[-1]
     degree = min(3, len(waypoints) - 1)
     conditions = "natural" if degree == 3 else None
     return make_interp_spline(s, waypoints, k=degree, bc_type=conditions)

@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
-from regrasp_planner.path.path_plan import PathOptions, PathResult, cartesian_path, plan_path
+from regrasp_planner.path.options import PathOptions
+from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
 from regrasp_planner.stages.clock import Clock
@@ -30,10 +32,9 @@ class PathObserver(Protocol):
 
     def on_path(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         goal: Float[np.ndarray, " n"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
@@ -42,10 +43,9 @@ class PathObserver(Protocol):
 
     def on_line(
         self,
-        model: CollisionModel,
+        space: ConfigurationSpace,
         start: Float[np.ndarray, " n"],
         displacement: Float[np.ndarray, " 3"],
-        theta: float,
         options: PathOptions,
         result: PathResult,
     ) -> None:
@@ -221,15 +221,16 @@ class StageMotion:
             heights: of the held target's line, tried in turn, metres.
             names: of the empty gripper's and the held target's line, for failures.
         """
-        empty, holding = self.models.empty_handed(ik.target_pose), self.models.holding(ik.grasp)
+        empty = [ConfigurationSpace(self.models.empty_handed(ik.target_pose), opening) for opening in openings]
+        holding = ConfigurationSpace(self.models.holding(ik.grasp), ik.grasp.theta)
         withdrawals = self._withdrawals(ik.grasp.gripper_pose(ik.target_pose))
         lifts = [np.array([0.0, 0.0, height]) for height in heights]
         for q in ik.configurations:
-            withdraw, opening = self._line(empty, q, product(openings, withdrawals))
+            withdraw, opening = self._line(q, product(empty, withdrawals))
             if withdraw.trajectory is None:
                 yield no_path(kind, names[0], withdraw)
                 continue
-            lift, _ = self._line(holding, q, product((ik.grasp.theta,), lifts))
+            lift, _ = self._line(q, product((holding,), lifts))
             if lift.trajectory is None:
                 yield no_path(kind, names[1], lift)
                 continue
@@ -253,25 +254,22 @@ class StageMotion:
         return [length * direction for length in self.options.approach for direction in directions]
 
     def _line(
-        self,
-        model: CollisionModel,
-        q: Float[np.ndarray, " n"],
-        tries: Iterable[tuple[float, Float[np.ndarray, " 3"]]],
+        self, q: Float[np.ndarray, " n"], tries: Iterable[tuple[ConfigurationSpace, Float[np.ndarray, " 3"]]]
     ) -> tuple[PathResult, float]:
         """The first straight line from q that works, otherwise the last that did not; and its finger coordinate.
 
         Args:
-            model: bodies and pairs.
             q: (n,) radians.
-            tries: finger coordinates and displacements (3,) in metres, at least one.
+            tries: spaces and displacements (3,) in metres, at least one.
         """
         result: PathResult | None = None
         theta = 0.0
-        for theta, displacement in tries:
+        for space, displacement in tries:
+            theta = space.theta
             with self.clock("path_plan"):
-                result = cartesian_path(model, q, displacement, theta, self.options.path)
+                result = cartesian_path(space, q, displacement, self.options.path)
             if self.observer is not None:
-                self.observer.on_line(model, q, displacement, theta, self.options.path, result)
+                self.observer.on_line(space, q, displacement, self.options.path, result)
             if result.trajectory is not None:
                 break
         assert result is not None
@@ -281,8 +279,9 @@ class StageMotion:
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``."""
+        space = ConfigurationSpace(model, theta)
         with self.clock("path_plan"):
-            result = plan_path(model, start, goal, theta, self.options.path, self.seed)
+            result = plan_path(space, start, goal, self.options.path, self.seed)
         if self.observer is not None:
-            self.observer.on_path(model, start, goal, theta, self.options.path, result)
+            self.observer.on_path(space, start, goal, self.options.path, result)
         return result

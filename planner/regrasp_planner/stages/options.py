@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from regrasp_planner.grasp.grasp import GraspGenOptions
 from regrasp_planner.grasp.sampling import SamplingOptions
-from regrasp_planner.path.path_plan import PathOptions
+from regrasp_planner.path.options import PathOptions
 
 
 @dataclass(frozen=True)

@@ -144,7 +144,7 @@ def test_rrt_connect_goes_round_what_is_in_the_way(world: Any) -> None:
     assert [query.kind for query in queries] == ["random"] * 2 + ["random, holding"] * 2
     limits = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)
     for query in queries:
-        checker = ExactChecker(query.model, query.theta)
+        checker = ExactChecker(query.space.model, query.space.theta)
         assert checker.free(np.stack([query.start, query.goal]))
         assert checker.collisions(polyline(np.stack([query.start, query.goal])))
         result = rrt_connect(checker, query.start, query.goal, *limits, time_limit=20.0)
@@ -165,7 +165,7 @@ def test_rrt_connect_gives_up_in_time(world: Any) -> None:
             return bool(np.minimum(np.abs(q - query.start).sum(1), np.abs(q - query.goal).sum(1)).max() < 1e-6)
 
     limits = np.asarray(world.planner_robot.arm.lower), np.asarray(world.planner_robot.arm.upper)
-    checker = Nowhere(query.model, query.theta)
+    checker = Nowhere(query.space.model, query.space.theta)
     result = rrt_connect(checker, query.start, query.goal, *limits, time_limit=0.2)
     assert result.waypoints is None
     assert 0.1 < result.seconds < 5.0

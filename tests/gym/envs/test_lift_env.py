@@ -114,7 +114,7 @@ def test_unknown_strategies_are_named(env):
 
 
 def test_wrong_configs_are_named():
-    with pytest.raises(SceneError, match="unknown object 'brick'"):
+    with pytest.raises(SceneError, match="unknown name 'brick'"):
         LiftConfig(targets=("brick",))
     with pytest.raises(SceneError, match="025_mug"):
         LiftConfig(targets=("025_mug",), max_opening=0.02)

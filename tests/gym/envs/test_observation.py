@@ -4,12 +4,9 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from regrasp_gym.envs.observation import OTHER_SIZE
 from regrasp_gym.envs.reward import GOAL_SIZE, pose_errors
-from regrasp_gym.simulation.world import canonical
 
 VECTORS = ("observation", "agent_pos", "environment_state")
 
@@ -142,31 +139,6 @@ def test_velocities_are_those_of_the_world_frame(facts, state_env):
     np.testing.assert_allclose(moved[4:] - start[4:], velocity[:3] * dt, atol=9.81 * dt * dt + 1e-9)
     angle = pose_errors(moved, start)[1]
     assert angle == pytest.approx(np.linalg.norm(velocity[3:]) * dt, rel=0.02)
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_canonical_quaternions_are_the_same_rotation_with_one_sign(seed):
-    rng = np.random.default_rng(seed)
-    poses = rng.normal(size=(5, 7))
-    once = canonical(poses)
-    np.testing.assert_allclose(np.linalg.norm(once[:, :4], axis=1), 1)
-    flipped = poses * np.array([-1] * 4 + [1] * 3)
-    np.testing.assert_array_equal(canonical(flipped), once)
-    np.testing.assert_allclose(canonical(once), once, atol=1e-15)
-    aligned = np.abs(np.einsum("ij,ij->i", once[:, :4], poses[:, :4]))
-    np.testing.assert_allclose(aligned, np.linalg.norm(poses[:, :4], axis=1))
-
-
-def test_noise_does_not_toggle_the_sign_of_what_lies_upside_down():
-    rng = np.random.default_rng(0)
-    yaw = rng.uniform(-np.pi, np.pi, 200)
-    for axis in (np.array([1.0, 0, 0]), np.array([0, 1.0, 0])):
-        flip = np.column_stack([np.zeros(200), np.cos(yaw)[:, None] * axis[:2] + np.sin(yaw)[:, None] * axis[1::-1]])
-        poses = np.column_stack([flip, np.zeros((200, 4))])
-        noisy = poses + 1e-6 * rng.normal(size=poses.shape)
-        same = np.linalg.norm(canonical(poses) - canonical(noisy), axis=1) < 1e-3
-        assert same.all()
 
 
 def test_observations_are_in_their_spaces(state_env, pixels_env):

@@ -18,7 +18,8 @@ from regrasp_gym.objects import OBJECTS, solid
 from regrasp_gym.objects.shapes import lathe
 from regrasp_gym.scenes.graspable import over_a_part
 from regrasp_gym.scenes.resting import resting_poses, upright_pose
-from regrasp_gym.scenes.table_shelf import TableShelfConfig, check_target, make_scene
+from regrasp_gym.scenes.table_shelf import make_scene
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig, check_target
 from regrasp_planner import Body, ConvexBody, Grasp, Obstacle, Scene, generate_grasps, stable_poses
 from regrasp_planner.robot.model import Gripper
 

@@ -7,23 +7,21 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull, QhullError
+from hulls import hull_distance
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.stones import StoneConfig, stone
 from regrasp_gym.rendering.materials import MATERIALS
 from regrasp_gym.rendering.renderer import SceneRenderer
-from regrasp_gym.rendering.setting import SITE, TABLE_TOP, Camera
+from regrasp_gym.rendering.setting import SITE, TABLE_TOP, Camera, add_visuals
 from regrasp_gym.scenes.scene import PlacedObject, Scene
-from regrasp_gym.scenes.slope_resting import SHORTEST_EDGE, clearance, seats, slide_apart
+from regrasp_gym.scenes.slope_resting import SHORTEST_EDGE, seats
 from regrasp_gym.scenes.slopes import make_scene
 from regrasp_gym.scenes.slopes_config import MAX_OTHERS, SlopesConfig
-from regrasp_gym.scenes.table_shelf import footprint_gap
 from regrasp_gym.simulation import physics
 from regrasp_gym.simulation.world import add_fixture
-
-coal = pytest.importorskip("coal")
 
 CONFIG = SlopesConfig()
 SCENES = [make_scene(seed) for seed in range(60)]
@@ -35,16 +33,6 @@ def rotation(pose):
 
 def world_points(model, pose):
     return model.pieces[0] @ rotation(pose).T + pose[4:]
-
-
-def hull_distance(a, b):
-    shapes = []
-    for points in (a, b):
-        cloud = coal.StdVec_Vec3s()
-        cloud.extend(list(points))
-        shapes.append(coal.Convex.convexHull(cloud, False, ""))
-    at = coal.Transform3s()
-    return coal.distance(shapes[0], at, shapes[1], at, coal.DistanceRequest(), coal.DistanceResult())
 
 
 def fixture(scene, name):
@@ -342,24 +330,6 @@ def test_seats_rest_and_tip_where_statics_says(seed) -> None:
             equations = ConvexHull(touching @ np.array([[c, s], [-s, c]])).equations
             expected = -(equations[:, :2] @ (seat.height * fall) + equations[:, 2]).max()
             assert seat.margin(np.array([yaw]), fall)[0] == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_sliding_apart_leaves_exactly_the_gap(seed) -> None:
-    rng = np.random.default_rng(seed)
-    try:
-        a, b = (points[ConvexHull(points).vertices] for points in rng.normal(size=(2, 7, 2)))
-    except QhullError:
-        pytest.skip("no polygon")
-    angles = rng.uniform(-np.pi, np.pi, 20)
-    ways = np.column_stack([np.cos(angles), np.sin(angles)])
-    slid = slide_apart(np.broadcast_to(a, (20, *a.shape)), ways, b, 0.1)
-    gaps = footprint_gap(a + slid[:, None, None] * ways[:, None], b)
-    assert (gaps >= 0.1 - 1e-9).all()
-    assert gaps[slid > 0] == pytest.approx(0.1)
-    further = footprint_gap(a + (slid + 0.3)[:, None, None] * ways[:, None], b)
-    assert (further >= 0.1).all()
-    assert clearance(b, b.mean(axis=0)) > 0 > clearance(b, b[0] + 10)
 
 
 # Physics and pictures -----------------------------------------------------------------------------------------------

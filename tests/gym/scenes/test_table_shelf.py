@@ -5,18 +5,18 @@ import itertools
 import numpy as np
 import pytest
 import trimesh
+from hulls import hull_distance
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.model import solid
 from regrasp_gym.objects.ycb import OBJECTS
 from regrasp_gym.scenes.resting import MIN_MARGIN, least_width, resting_poses, upright_pose
-from regrasp_gym.scenes.table_shelf import TableShelfConfig, check_target, footprint_gap, make_scene
-
-coal = pytest.importorskip("coal")
+from regrasp_gym.scenes.table_shelf import make_scene
+from regrasp_gym.scenes.table_shelf_config import TableShelfConfig, check_target
 
 CONFIG = TableShelfConfig()
 
@@ -24,18 +24,6 @@ CONFIG = TableShelfConfig()
 def world_vertices(model, pose):
     turn = Rotation.from_quat(np.roll(pose[:4], -1)).as_matrix()
     return np.concatenate(model.pieces) @ turn.T + pose[4:]
-
-
-def coal_hull(points):
-    cloud = coal.StdVec_Vec3s()
-    cloud.extend(list(np.asarray(points)))
-    return coal.Convex.convexHull(cloud, False, "")
-
-
-def hull_distance(a, b):
-    result = coal.DistanceResult()
-    pose = coal.Transform3s()
-    return coal.distance(coal_hull(a), pose, coal_hull(b), pose, coal.DistanceRequest(), result)
 
 
 def assert_same(a, b):
@@ -260,26 +248,3 @@ def test_upright_is_upright():
 
 def test_least_width_of_a_box_is_its_shortest_edge():
     assert least_width(OBJECTS["009_gelatin_box"]) == pytest.approx(0.03)
-
-
-# Gap between polygons -----------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_gap_never_exceeds_distance_and_tells_overlap(seed):
-    rng = np.random.default_rng(seed)
-    polygons = []
-    for shift in (np.zeros(2), rng.uniform(-2.5, 2.5, 2)):
-        points = rng.normal(size=(8, 2)) * 0.6 + shift
-        try:
-            polygons.append(points[ConvexHull(points).vertices])
-        except QhullError:
-            return
-    a, b = polygons
-    prisms = [np.concatenate([np.column_stack([p, np.full(len(p), z)]) for z in (0.0, 1.0)]) for p in polygons]
-    distance = hull_distance(*prisms)
-    gap = footprint_gap(a, b)
-    assert gap <= max(distance, 0) + 1e-6 or distance < 0
-    assert (gap > 1e-9) == (distance > 1e-9) or abs(gap) < 1e-6
-    assert footprint_gap(np.stack([a, a]), b) == pytest.approx([gap, gap])

@@ -1,6 +1,8 @@
-"""The compiled programs behind `path_clearance`: lower bounds for all pairs of bodies, exact figures for a few."""
+"""Compiled programs of `PairDistancer`: lower bounds of the distances of all pairs of bodies, distances of a few."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,13 +34,34 @@ def chain_of_pairs(model: CollisionModel) -> tuple[Float[np.ndarray, "P n"], Int
     return sign, np.where(first >= second, pairs[:, 0], pairs[:, 1]).astype(np.int32)
 
 
+class JointAxes(NamedTuple):
+    """The joints' axes in the world, for N configurations.
+
+    Attributes:
+        axis: (N, n, 3) unit vectors.
+        point: (N, n, 3) a point on each axis, metres.
+    """
+
+    axis: Float[Array, "N n 3"] | Float[np.ndarray, "N n 3"]
+    point: Float[Array, "N n 3"] | Float[np.ndarray, "N n 3"]
+
+
 @jax.jit
-def survey_pairs(
+def bound_pairs(
     arrays: CollisionArrays, q: Float[Array, "N n"], theta: Float[Array, ""]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Bounds (P, N), radii (N, M, n), poses (N, M, 7), joint axes and points (N, n, 3).
+) -> tuple[Float[Array, "P N"], Float[Array, "N M n"], Float[Array, "N M 7"], JointAxes]:
+    """Lower bounds of the distances of all P pairs, in N configurations.
 
     Everything per pair is single precision, with configurations last: memory traffic is what it costs.
+
+    Args:
+        arrays: the collision model.
+        q: (N, n) radians.
+        theta: finger coordinate.
+
+    Returns:
+        (P, N) bounds, metres; (N, M, n) largest distance of a body's points from each joint's axis, metres; (N, M, 7)
+        world poses of the bodies; the joints' axes.
     """
     poses = jax.vmap(lambda one: body_frames(arrays, one, theta))(q)
     frames = jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q)[:, 1:-1]
@@ -55,7 +78,7 @@ def survey_pairs(
     a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
     sweep = (arrays.bodies.radius[a] + arrays.bodies.radius[b]).astype(jnp.float32)[:, None]
     bounds = box_bounds(rotations[:, :, a], rotations[:, :, b], place[:, b] - place[:, a], half[:, a], half[:, b])
-    return bounds - sweep - _ROUNDING, radius, poses, axis, point
+    return bounds - sweep - _ROUNDING, radius, poses, JointAxes(axis, point)
 
 
 @jax.jit
@@ -65,15 +88,21 @@ def measure_pairs(
     pose_a: Float[Array, "R 7"],
     pose_b: Float[Array, "R 7"],
     sign: Float[Array, "R n"],
-    axis: Float[Array, "R n 3"],
-    point: Float[Array, "R n 3"],
-) -> tuple[Array, Array, Array]:
-    """Distances (R,), certified lower bounds (R,) and gradients (R, n) of R pairs of bodies, one by one."""
+    joints: JointAxes,
+) -> tuple[Float[Array, " R"], Float[Array, " R"], Float[Array, "R n"]]:
+    """Distances (R,) and certified lower bounds (R,), metres, and gradients (R, n), m/rad, of R pairs of bodies.
+
+    Args:
+        body_a, body_b: R bodies each.
+        pose_a, pose_b: (R, 7) their world poses.
+        sign: (R, n) of `chain_of_pairs`.
+        joints: the joints' axes, row by row.
+    """
     # One local maximum is enough: overlapping pairs are only ever pushed apart, and near contact there is one.
     found = separation(body_a, pose_a, body_b, pose_b, thorough=False)
     x = found.direction
     certified = hull_gap(x, body_a, pose_a, body_b, pose_b)
     # A joint moves the second body (+) or the first (−), and its witness point with it.
     witness = jnp.where(sign[..., None] > 0, found.point_b[:, None], found.point_a[:, None])
-    gradient = sign * (jnp.cross(axis, witness - point) * x[:, None]).sum(-1)
+    gradient = sign * (jnp.cross(joints.axis, witness - joints.point) * x[:, None]).sum(-1)
     return found.distance, certified, gradient

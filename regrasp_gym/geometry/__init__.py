@@ -1,0 +1,1 @@
+"""Poses, convex polygons and the facets of convex polyhedra."""
