@@ -1,4 +1,4 @@
-"""``regrasp-certify``: sort scenes into those in which one grasp suffices and those that need a regrasp."""
+"""``regrasp-certify``: list the scenes in which one grasp suffices, and those that need a regrasp."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
 
 import gymnasium
 import tyro
@@ -17,8 +16,12 @@ from rich.console import Console
 from rich.table import Table
 
 import regrasp_gym
-from regrasp_gym.errors import EnvError, SceneError
-from regrasp_gym.reports.trials import Record, Trial, crashes, machine, read_records, run_trials, write_report
+from regrasp_bench.options import BenchOptions
+from regrasp_gym.errors import SceneError
+from regrasp_gym.reports.command_line import run_command
+from regrasp_gym.reports.files import read_lines, write_text
+from regrasp_gym.reports.report import Record, machine, package_versions, write_report
+from regrasp_gym.reports.trials import Trial, crashes, print_crashes, run_trials
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.seeds import FIRST_SEED, SPLITS, split_of
 
@@ -31,54 +34,49 @@ CRITERIA = {
 """What is listed, by name of the list."""
 
 
-@dataclass(frozen=True)
-class CertifyCommand:
+@dataclass(frozen=True, kw_only=True)
+class CertifyOptions(BenchOptions):
     """Sort the scenes of regrasp_gym/PandaYCB-v0 by difficulty, and write the lists that its variants draw from.
 
-    Each scene is planned with the strategy "repeated", which looks for a single grasp first, and the plan is executed
-    in the simulation. An interrupted run goes on where it stopped, and more scenes can be added later: the lists are
-    written from all scenes in RECORDS that were judged by this version with this effort.
+    Each scene is planned with the strategy "repeated", which tries a single grasp first, and the plan is executed in
+    the simulation. An interrupted run resumes, and more scenes can be added later: the lists hold all scenes of the
+    records that this version judged with this effort.
     """
 
     train: int = 300
-    """How many scenes are judged for training: those from seed 0 on."""
+    """Number of scenes judged for training, from seed 0 on."""
     val: int = 75
-    """How many for validation: those from seed 500,000,000 on."""
+    """Number of scenes for validation, from seed 500,000,000 on."""
     test: int = 150
-    """How many for the test: those from seed 1,000,000,000 on."""
-    workers: int = 1
-    """Processes."""
+    """Number of scenes for the test, from seed 1,000,000,000 on."""
     records: Path = Path("outputs/certify.jsonl")
-    """One JSON line per scene, appended to."""
+    """One JSON line per scene, appended as it ends."""
     folder: Path = Path(regrasp_gym.__file__).parent / "seeds"
-    """Where the lists are written; by default into the package."""
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
-    """Write the counts as JSON."""
+    """Folder of the lists; by default that of the package."""
 
 
 def main() -> None:
-    """Entry point."""
-    command = tyro.cli(CertifyCommand, prog="regrasp-certify", description=CertifyCommand.__doc__)
-    try:
-        sys.exit(run(command))
-    except (EnvError, OSError) as error:
-        Console(stderr=True).print(f"regrasp-certify: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Entry point: exits with 0 if done, 1 if scenes crashed, 2 for wrong use, 130 for Ctrl-C."""
+    options = tyro.cli(CertifyOptions, prog="regrasp-certify")
+    sys.exit(run_command("regrasp-certify", lambda: certify(options), resume="the same command resumes"))
 
 
-def run(command: CertifyCommand) -> int:
-    """Judge the scenes and write the lists; 0, or 1 if scenes crashed.
+def certify(options: CertifyOptions) -> int:
+    """Judge the scenes and write the lists.
+
+    Returns:
+        The exit code: 1 if scenes crashed, else 0.
 
     Raises:
-        SceneError: a list would have no scene for one of the splits; none is written then.
+        SceneError: a list would lack scenes of a split. No list is written then.
     """
     setting = setting_of()
-    counts = {"train": command.train, "val": command.val, "test": command.test}
+    counts = {"train": options.train, "val": options.val, "test": options.test}
     seeds = [FIRST_SEED[split] + k for split in SPLITS for k in range(counts[split])]
-    asked = run_trials(setting, seeds, _prepare, workers=command.workers, records=command.records, label="certifying")
-    judged = {r["trial"]: r for r in read_records(command.records) if r.get("setting") == setting}
+    requested = run_trials(
+        setting, seeds, _prepare, workers=options.workers, records=options.records, label="certifying"
+    )
+    judged = {r["trial"]: r for r in read_lines(options.records) if r.get("setting") == setting}
     records = [judged[trial] for trial in sorted(judged)]
     lists = {name: [record["trial"] for record in records if kind_of(record) == name] for name in CRITERIA}
     for name, scenes in lists.items():
@@ -86,15 +84,15 @@ def run(command: CertifyCommand) -> int:
         if empty:
             raise SceneError(f"no scene for {name} in the split {empty[0]!r}: judge more with --{empty[0]}")
     for name, scenes in lists.items():
-        write_list(command.folder / f"{name}.json", name, scenes, list(judged))
-    _show(lists, records, command.folder)
+        write_list(options.folder / f"{name}.json", name, scenes, list(judged))
+    _show(lists, records, options.folder)
     counted = {name: {split: len(seeds) for split, seeds in by_split(lists[name]).items()} for name in CRITERIA}
-    write_report(command.json_file, {**setting, "judged": len(records), "listed": counted, "crashed": crashes(records)})
-    return 1 if crashes(asked) else 0
+    write_report(options.json_file, {**setting, "judged": len(records), "listed": counted, "crashed": crashes(records)})
+    return 1 if crashes(requested) else 0
 
 
 def setting_of() -> Record:
-    """What verdicts depend on: scenes, planner's effort and version."""
+    """What verdicts depend on: the scenes, the planner's effort and the version."""
     # Loads JAX.
     from regrasp_planner import PlanOptions
 
@@ -104,12 +102,12 @@ def setting_of() -> Record:
 
 
 def by_split(scenes: Sequence[int]) -> dict[str, list[int]]:
-    """Scene seeds in order, by the split that they belong to."""
+    """Scene seeds in order, by split."""
     return {split: [seed for seed in sorted(scenes) if split_of(seed) == split] for split in SPLITS}
 
 
 def scenes_digest() -> str:
-    """Digest of what the default scenes are made from: a list holds for these alone."""
+    """Digest of the default scenes' configuration. A list is valid for these scenes only."""
     return hashlib.sha256(repr(TableShelfConfig()).encode()).hexdigest()[:16]
 
 
@@ -119,7 +117,7 @@ def kind_of(record: Record) -> str | None:
         return None
     if len(record["stages"]) > 1:
         return "panda_ycb_regrasp"
-    # Another plan was needed: the one grasp did not hold.
+    # With a second plan, the one grasp did not hold.
     return "panda_ycb_direct" if record["plans"] == 1 else None
 
 
@@ -130,18 +128,15 @@ def write_list(path: Path, name: str, scenes: Sequence[int], judged: Sequence[in
         "criterion": CRITERIA[name],
         "judged": {split: len(seeds) for split, seeds in by_split(judged).items()},
         "scenes_digest": scenes_digest(),
-        "versions": {package: version(package) for package in ("regrasp-gym", "mujoco", "jax", "numpy")},
+        "versions": package_versions(("regrasp-gym", "mujoco", "jax", "numpy")),
         "machine": machine(),
         "scenes": by_split(scenes),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(_compact(content))
-    temporary.replace(path)
+    write_text(path, _compact(content))
 
 
 def _compact(content: Record) -> str:
-    """Indented JSON with each list of numbers in one line."""
+    """Indented JSON with each list of numbers on one line."""
     lists = content["scenes"]
     text = json.dumps({**content, "scenes": {split: f"@{split}" for split in lists}}, indent=2)
     for split, scenes in lists.items():
@@ -150,7 +145,7 @@ def _compact(content: Record) -> str:
 
 
 def _prepare(setting: Record) -> Trial:
-    # These load JAX, which only the processes that plan need.
+    # Loads JAX, which only planning processes need.
     from regrasp_bench.tables.episodes import run_episode
 
     env = gymnasium.make(setting["env"])
@@ -166,8 +161,7 @@ def _show(lists: dict[str, list[int]], records: Sequence[Record], folder: Path) 
     console.print(table)
     left = len(records) - sum(map(len, lists.values()))
     console.print(f"{left} scenes in neither list: no plan, or its execution failed. Lists in {folder}", soft_wrap=True)
-    for error, seeds in crashes(records).items():
-        console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
+    print_crashes(crashes(records))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from regrasp_datasets.features import IMAGE_PREFIX, MEANING
-from regrasp_datasets.records import read_attempts, read_episodes
+from regrasp_datasets.records import failure_causes, read_attempts, read_episodes
 
 CARD_FILE = "README.md"
 
@@ -41,11 +41,7 @@ def card(root: Path, *, name: str) -> str:
     executed = sum(attempt.frames > 0 for attempt in attempts)
     succeeded = sum(attempt.outcome == "success" for attempt in attempts)
     by_target = Counter(record.target for record in records)
-    causes = Counter(
-        f"{attempt.outcome}: {attempt.cause}" if attempt.cause else attempt.outcome
-        for attempt in attempts
-        if attempt.outcome != "success"
-    )
+    causes = failure_causes(attempts)
     features = [
         f"| `{key}` | {feature['dtype']} | {_shape(feature['shape'])} | {_meaning(key)} |"
         for key, feature in info["features"].items()

@@ -1,34 +1,35 @@
-"""``regrasp-collect``: let the expert act on many seeds and keep what succeeds as a LeRobot dataset."""
+"""``regrasp-collect``: run the expert on many seeds and keep the successful episodes as a LeRobot dataset."""
 
 from __future__ import annotations
 
 import signal
 import sys
 import time
-from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from regrasp_datasets.quiet import quiet_environment
 from regrasp_gym.errors import RegraspGymError
 from regrasp_gym.reports.command_line import JsonFile, require_extra, run_command
-from regrasp_gym.reports.files import write_json
+
+if TYPE_CHECKING:
+    from regrasp_datasets.selection import Selection
+    from regrasp_datasets.workspace import Workspace
 
 
 @dataclass(frozen=True)
 class CollectOptions:
     """Collect demonstrations of the planner's expert as a LeRobot v3.0 dataset.
 
-    Seeds SEED, SEED+1, … are tried in turn, and the first EPISODES that succeed make the dataset, however many workers
-    there are. An interrupted collection goes on with --resume.
+    Seeds SEED, SEED+1, … are tried in turn, and the first EPISODES that succeed make the dataset, whatever the
+    number of workers. --resume goes on with an interrupted collection.
     """
 
     root: Path
@@ -36,7 +37,7 @@ class CollectOptions:
     env: str = "regrasp_gym/PandaYCB-v0"
     """Gymnasium id of the environment."""
     episodes: int = 10
-    """How many episodes the dataset is to hold."""
+    """Episodes in the dataset."""
     seed: int = 0
     """First seed."""
     workers: int = 1
@@ -44,65 +45,66 @@ class CollectOptions:
     strategy: str = "repeated"
     """The expert's strategy."""
     require_regrasp: int = 0
-    """How many of the episodes at least must hold a regrasp."""
+    """At least so many of the episodes must hold a regrasp."""
     images: bool = True
     """Whether to record the cameras."""
     image_size: int | None = None
     """Edge of the camera images in pixels; the environment's own by default."""
     control_mode: Literal["joint_pos", "ee_delta"] = "joint_pos"
-    """What an action means."""
+    """Action space."""
     reward_type: Literal["sparse", "dense"] = "sparse"
-    """Which reward is recorded."""
+    """Reward that is recorded."""
     codec: Literal["libsvtav1", "h264"] = "libsvtav1"
     """Video codec."""
     keep_failures: bool = False
-    """Keep executed episodes that failed, too; next.success tells them apart."""
+    """Also keep executed episodes that failed; next.success tells them apart."""
     resume: bool = False
     """Go on with an interrupted collection, or add episodes to a finished one."""
     max_attempts: int | None = None
-    """How many seeds are tried at most; 20 per episode by default."""
+    """Most seeds to try; 20 per episode by default."""
     episode_timeout: float = 900.0
     """Seconds after which an episode is given up."""
     expert: str = "regrasp_gym:PlannerExpert"
-    """Class that acts, as module:name; it is made with (env, strategy, seed)."""
+    """Class of the expert, as module:name; constructed with (env, strategy, seed)."""
     video: Path | None = None
-    """MP4 file for one of the episodes (the first with a regrasp), seen by the overview camera."""
+    """MP4 file of one episode (the first with a regrasp), seen by the overview camera."""
     plan_picture: Path | None = None
     """Picture of the plan of that episode."""
     json_file: JsonFile = None
-    """File for everything that is printed, as JSON."""
+    """Write everything that is printed as JSON."""
 
 
 class CollectError(RegraspGymError):
-    """Options that contradict each other, or a collection that cannot go on. The message says what to do."""
+    """Options contradict each other, or a collection cannot go on."""
 
 
 def main() -> int:
-    """Entry point of ``regrasp-collect``: 0 if the dataset is complete, 1 if not, 2 for wrong use, 130 for Ctrl-C."""
+    """Entry point of ``regrasp-collect``; exit code 1 if the dataset is incomplete."""
     options = tyro.cli(CollectOptions, prog="regrasp-collect", description=CollectOptions.__doc__)
     quiet_environment()
     return run_command("regrasp-collect", lambda: collect(options), resume="go on with --resume")
 
 
 def collect(options: CollectOptions, console: Console | None = None) -> int:
-    """Do what ``options`` say.
+    """Collect a dataset and report.
 
     Returns:
-        0 if the dataset holds what was asked for, 1 if too few seeds succeeded, 130 after Ctrl-C.
+        0 if the dataset is complete, 1 if too few seeds succeeded, 130 after Ctrl-C.
 
     Raises:
         CollectError: the options contradict each other, or every attempt crashes.
         WorkspaceError: the output folder cannot be used.
         WorkerError: the environment or the expert cannot be set up.
     """
-    from regrasp_datasets.selection import select
+    require_extra("regrasp-collect", "lerobot")
+    from regrasp_datasets.collect_report import make_pictures, report
     from regrasp_datasets.workspace import Workspace
 
-    require_extra("regrasp-collect", "lerobot")
     console = console or Console()
     _check(options)
     started = time.perf_counter()
-    with Workspace(options.root, settings_of(options), resume=options.resume) as workspace:
+    settings = settings_of(options)
+    with Workspace(options.root, settings, resume=options.resume) as workspace:
         interrupted = False
         failure: Exception | None = None
         try:
@@ -110,16 +112,12 @@ def collect(options: CollectOptions, console: Console | None = None) -> int:
                 _run(options, workspace, console)
         except KeyboardInterrupt:
             interrupted = True
-            console.print("[yellow]Interrupted.[/] Saving what there is; Ctrl-C once more leaves it for --resume.")
+            console.print(
+                "[yellow]Interrupted.[/] Saving the finished episodes; a second Ctrl-C leaves that to --resume."
+            )
         except Exception as error:
             failure = error
-        chosen = select(
-            workspace.attempts,
-            first=options.seed,
-            episodes=options.episodes,
-            regrasps=options.require_regrasp,
-            published=workspace.published,
-        )
+        chosen = _select(options, workspace)
         if chosen.seeds:
             with console.status("Merging the episodes"):
                 workspace.publish(chosen.seeds, chosen.attempts)
@@ -127,10 +125,10 @@ def collect(options: CollectOptions, console: Console | None = None) -> int:
             raise failure
         pictured: dict[str, Any] = {}
         if chosen.complete:
-            pictured = _pictures(options, workspace.plans, console)
+            pictured = make_pictures(options, workspace.plans, console)
             workspace.finish()
         seconds = time.perf_counter() - started
-        _report(options, chosen.attempts, seconds, pictured, console)
+        report(options, settings, chosen.attempts, seconds, pictured, console)
         if interrupted:
             console.print(f"Go on with --resume; unfinished work lies in {workspace.folder}.", soft_wrap=True)
             return 130
@@ -144,7 +142,7 @@ def collect(options: CollectOptions, console: Console | None = None) -> int:
 
 
 def settings_of(options: CollectOptions) -> dict[str, Any]:
-    """The options that decide what an episode holds; a resumed collection must have the same."""
+    """Options that decide the content of an episode. A resumed collection must have the same."""
     return {
         "env": options.env,
         "env_kwargs": env_kwargs_of(options),
@@ -172,18 +170,30 @@ def env_kwargs_of(options: CollectOptions) -> dict[str, Any]:
 
 def _check(options: CollectOptions) -> None:
     if options.episodes < 1 or options.workers < 1:
-        raise CollectError("--episodes and --workers have to be at least 1.")
+        raise CollectError("--episodes and --workers must be at least 1.")
     if not 0 <= options.require_regrasp <= options.episodes:
-        raise CollectError(f"--require-regrasp has to be between 0 and --episodes ({options.episodes}).")
+        raise CollectError(f"--require-regrasp must be between 0 and --episodes ({options.episodes}).")
     if options.seed < 0:
-        raise CollectError("--seed has to be 0 or more.")
+        raise CollectError("--seed must be 0 or more.")
     if options.image_size is not None and not 64 <= options.image_size <= 1024:
-        raise CollectError("--image-size has to be between 64 and 1024 pixels.")
+        raise CollectError("--image-size must be between 64 and 1024 pixels.")
 
 
-def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
-    from regrasp_datasets.rollout import RolloutOptions
+def _select(options: CollectOptions, workspace: Workspace) -> Selection:
     from regrasp_datasets.selection import select
+
+    return select(
+        workspace.attempts,
+        first=options.seed,
+        episodes=options.episodes,
+        regrasps=options.require_regrasp,
+        published=workspace.published,
+    )
+
+
+def _run(options: CollectOptions, workspace: Workspace, console: Console) -> None:
+    from regrasp_datasets.collect_report import attempt_line
+    from regrasp_datasets.rollout import RolloutOptions
     from regrasp_datasets.workers import WorkerOptions, WorkerPool
 
     config = WorkerOptions(
@@ -196,17 +206,8 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
         timeout=options.episode_timeout,
     )
 
-    def current() -> Any:
-        return select(
-            workspace.attempts,
-            first=options.seed,
-            episodes=options.episodes,
-            regrasps=options.require_regrasp,
-            published=workspace.published,
-        )
-
     last_seed = options.seed + (options.max_attempts or 20 * options.episodes) - 1
-    chosen = current()
+    chosen = _select(options, workspace)
     if chosen.complete:
         return
     retried: set[int] = set()
@@ -236,11 +237,11 @@ def _run(options: CollectOptions, workspace: Any, console: Console) -> None:
                     again.append(attempt.seed)
                     continue
                 workspace.add(attempt)
-                progress.console.print(_line(attempt), soft_wrap=True, highlight=False)
+                progress.console.print(attempt_line(attempt), soft_wrap=True, highlight=False)
                 crashes = crashes + 1 if attempt.outcome == "crashed" else 0
                 if crashes == 3:
                     raise CollectError(f"Three attempts in a row crashed, the last: {attempt.reason} ({config.logs})")
-            chosen = current()
+            chosen = _select(options, workspace)
             tried = len(workspace.attempts)
             progress.update(bar, completed=len(chosen.seeds), note=f"{tried} seeds tried")
 
@@ -266,88 +267,6 @@ def _progress(console: Console) -> Progress:
         TextColumn("{task.fields[note]}"),
         console=console,
     )
-
-
-def _line(attempt: Any) -> str:
-    words = f"seed {attempt.seed:>5}  {attempt.target:<26} {attempt.outcome}"
-    if attempt.stages:
-        words += f", {attempt.stages} stage{'s' if attempt.stages > 1 else ''}"
-    words += f", planned in {attempt.planning_seconds:.1f} s"
-    return words + (f" ({attempt.cause})" if attempt.cause else "")
-
-
-def _pictures(options: CollectOptions, plans: Path, console: Console) -> dict[str, Any]:
-    """Film and draw one episode: the first with a regrasp if there is one."""
-    if options.video is None and options.plan_picture is None:
-        return {}
-    from regrasp_datasets.records import read_episodes
-    from regrasp_datasets.replay import film_episode, picture_plan
-    from regrasp_datasets.workers import plan_path
-
-    records = read_episodes(options.root)
-    record = next((record for record in records if record.stages >= 2), records[0])
-    made: dict[str, Any] = {"episode": record.episode_index, "seed": record.seed}
-    if options.video is not None:
-        with console.status("Filming an episode"):
-            film_episode(options.root, record, options.video)
-        made["video"] = str(options.video)
-    if options.plan_picture is not None:
-        with console.status("Drawing its plan"):
-            picture_plan(record, options.plan_picture, plan_path(plans, record.seed))
-        made["plan_picture"] = str(options.plan_picture)
-    return made
-
-
-def _report(
-    options: CollectOptions, attempts: list[Any], seconds: float, pictured: dict[str, Any], console: Console
-) -> None:
-    from regrasp_datasets.records import read_episodes, versions
-
-    records = read_episodes(options.root) if options.root.exists() else []
-    table = Table("#", "seed", "object", "strategy", "stages", "planning s", "frames", "success", box=None)
-    for record in records:
-        table.add_row(
-            str(record.episode_index),
-            str(record.seed),
-            record.target,
-            record.strategy,
-            str(record.stages),
-            f"{record.planning_seconds:.2f}",
-            str(record.frames),
-            "yes" if record.success else "no",
-        )
-    console.print(table)
-    causes = Counter(
-        f"{attempt.outcome}: {attempt.cause}" if attempt.cause else attempt.outcome
-        for attempt in attempts
-        if attempt.outcome != "success"
-    )
-    for cause, count in causes.most_common():
-        console.print(f"{count:>4} × {cause}")
-    frames = sum(record.frames for record in records)
-    regrasps = sum(record.stages >= 2 for record in records)
-    console.print(
-        f"{len(records)} episodes ({regrasps} with a regrasp), {frames} frames in {options.root}; "
-        f"{len(attempts)} seeds tried; {seconds:.0f} s",
-        soft_wrap=True,
-    )
-    for name in ("video", "plan_picture"):
-        if name in pictured:
-            console.print(f"{name.replace('_', ' ')} of episode {pictured['episode']}: {pictured[name]}")
-    if options.json_file is not None:
-        summary = {
-            "root": str(options.root),
-            "settings": settings_of(options),
-            "episodes": [asdict(record) for record in records],
-            "attempts": [asdict(attempt) for attempt in attempts],
-            "failures": dict(causes),
-            "frames": frames,
-            "regrasps": regrasps,
-            "seconds": seconds,
-            "pictured": pictured,
-            "versions": versions(),
-        }
-        write_json(options.json_file, summary)
 
 
 if __name__ == "__main__":

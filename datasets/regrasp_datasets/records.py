@@ -1,7 +1,7 @@
-"""What is kept of every episode beside its frames, so that it can be run again exactly and counted honestly.
+"""What is recorded of every episode beside its frames, so that it can be replayed exactly.
 
 Two JSON-lines files lie in a dataset's ``meta`` folder, beside LeRobot's own: ``regrasp_episodes.jsonl`` with one line
-per episode, and ``regrasp_attempts.jsonl`` with one line per seed that was tried, the failed ones with their reason.
+per episode, and ``regrasp_attempts.jsonl`` with one line per seed that was tried; failed ones say why.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,22 +26,21 @@ ATTEMPTS_FILE = "meta/regrasp_attempts.jsonl"
 
 RECORDED_PACKAGES = ("regrasp-gym", "mujoco", "gymnasium", "numpy", "jax", "jaxlib", "lerobot")
 
-
 OUTCOMES = ("success", "plan failed", "execution failed", "not needed", "timeout", "crashed")
-"""What can become of a seed; ``not needed``: one grasp sufficed, and no more such episodes were wanted."""
+"""Outcomes of a seed; ``not needed``: one grasp sufficed, and no more such episodes were wanted."""
 
 
 class DatasetError(RegraspGymError):
-    """A folder that is not a readable dataset of this project. The message names the folder and what is missing."""
+    """A folder is not a readable dataset of this project."""
 
 
 @dataclass(frozen=True)
 class EpisodeRecord:
-    """Everything needed to run one episode again and to compare the outcome.
+    """What it takes to run one episode again and to compare the outcome.
 
     Attributes:
         episode_index: its index in the dataset.
-        seed: what ``reset`` was given.
+        seed: seed of the reset.
         env_id: Gymnasium id.
         env_kwargs: keyword arguments of ``gym.make``.
         expert: ``module:name`` of the expert.
@@ -49,8 +50,8 @@ class EpisodeRecord:
         planned_stages: stages of the first plan.
         stages: stages that were executed.
         frames: number of steps.
-        success: whether the task counts as solved after the last step.
-        planning_seconds: time the expert thought, summed over the episode.
+        success: whether the task is solved after the last step.
+        planning_seconds: time in the expert, summed over the episode.
         seconds: time the episode took, writing included.
         initial_state_sha256: digest of the physics state after the reset, double precision.
         final_state_sha256: digest of the physics state after the last step.
@@ -78,17 +79,17 @@ class EpisodeRecord:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What became of one seed.
+    """The outcome of one seed.
 
     Attributes:
         seed: the seed.
         outcome: one of `OUTCOMES`.
         saved: whether the episode was written.
         cause: why it failed in a few words, the same words for the same cause; empty for a success.
-        reason: the whole story.
-        target: name of the object, empty if it did not come so far.
+        reason: the cause in full.
+        target: name of the object; empty if the episode failed before it was known.
         stages: stages executed, or planned if nothing was executed.
-        planning_seconds: time the expert thought.
+        planning_seconds: time in the expert.
         frames: steps executed.
     """
 
@@ -103,6 +104,15 @@ class Attempt:
     frames: int = 0
 
 
+def failure_causes(attempts: Iterable[Attempt]) -> Counter[str]:
+    """How many seeds failed, by outcome and cause."""
+    return Counter(
+        f"{attempt.outcome}: {attempt.cause}" if attempt.cause else attempt.outcome
+        for attempt in attempts
+        if attempt.outcome != "success"
+    )
+
+
 def versions() -> dict[str, str]:
     """Versions that an exact replay depends on."""
     found = {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
@@ -110,10 +120,10 @@ def versions() -> dict[str, str]:
 
 
 def state_sha256(*arrays: np.ndarray) -> str:
-    """Digest of a physics state: every bit of its arrays counts.
+    """Digest of a physics state, to the last bit.
 
     Args:
-        *arrays: of numbers.
+        *arrays: arrays of numbers.
 
     Returns:
         64 hexadecimal digits.
@@ -145,10 +155,10 @@ def read_attempts(root: Path) -> list[Attempt]:
 
 
 def require_dataset(root: Path) -> None:
-    """Check that ``root`` holds a finished dataset, so that LeRobot does not look for it on the network.
+    """Check that ``root`` holds a finished dataset. Otherwise LeRobot would look for it on the network.
 
     Raises:
-        DatasetError: it does not.
+        DatasetError: it holds none.
     """
     if not root.is_dir():
         raise DatasetError(f"There is no dataset folder {root}.")

@@ -1,45 +1,38 @@
-"""``regrasp-replay``: run a dataset's actions again and check that every episode comes out as it was recorded."""
+"""``regrasp-replay``: run a dataset's actions again and check that every episode ends as recorded."""
 
 from __future__ import annotations
 
 import json
-import pickle
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import tyro
-from jaxtyping import UInt8
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from regrasp_datasets.features import (
-    ACTION,
     ENVIRONMENT_STATE,
     REWARD,
     STATE,
     SUCCESS,
-    VECTORS_OBS_TYPE,
-    base_env,
     observe,
 )
-from regrasp_datasets.quiet import quiet_environment, quiet_lerobot
-from regrasp_datasets.records import DatasetError, EpisodeRecord, read_episodes, require_dataset, versions
-from regrasp_datasets.rollout import RolloutError, RolloutOptions, digest_of, make_env, make_expert
-from regrasp_gym.rendering.film import write_film
+from regrasp_datasets.films import EpisodeFrames, EpisodeReader, film_episode, replay_env
+from regrasp_datasets.quiet import quiet_environment
+from regrasp_datasets.records import DatasetError, EpisodeRecord, read_episodes, versions
+from regrasp_datasets.rollout import digest_of
 from regrasp_gym.reports.command_line import JsonFile, require_extra, run_command
 from regrasp_gym.reports.files import write_json
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Run the actions of a dataset again, from the stored seeds, and compare states and success.
+    """Run the actions of a dataset again from the stored seeds, and compare states and success.
 
     Exits with 1 if an episode's success is not reproduced, or if its states differ by more than the tolerance.
     """
@@ -47,33 +40,14 @@ class ReplayOptions:
     root: Path
     """Folder of the dataset."""
     episodes: tuple[int, ...] = ()
-    """Indices of the episodes to run; all by default."""
+    """Indices of the episodes; all by default."""
     tolerance: float = 0.0
-    """Largest difference of any recorded state, m or rad; 0 asks for equality to the last bit. Another machine or
-    another version of MuJoCo rounds differently."""
+    """Largest difference of any recorded state, m or rad; 0 demands equality to the last bit. Another machine or
+    version of MuJoCo rounds differently."""
     video: Path | None = None
-    """MP4 file of the first of the episodes, seen by the overview camera."""
+    """MP4 file of the first of these episodes, seen by the overview camera."""
     json_file: JsonFile = None
-    """File for the outcome as JSON."""
-
-
-@dataclass(frozen=True)
-class EpisodeFrames:
-    """The recorded numbers of one episode of T frames.
-
-    Attributes:
-        state: (T, n) float32.
-        environment_state: (T, m) float32.
-        action: (T, a) float32.
-        reward: (T,) float32.
-        success: (T,) bool.
-    """
-
-    state: np.ndarray
-    environment_state: np.ndarray
-    action: np.ndarray
-    reward: np.ndarray
-    success: np.ndarray
+    """Write the outcome as JSON."""
 
 
 @dataclass(frozen=True)
@@ -110,59 +84,12 @@ class ReplayResult:
         return self.recorded_success == self.replayed_success and same_states
 
 
-class EpisodeReader:
-    """Numbers of the episodes of a dataset, without decoding any video.
-
-    Args:
-        root: folder of a finished dataset.
-
-    Raises:
-        DatasetError: there is none.
-    """
-
-    def __init__(self, root: Path) -> None:
-        require_dataset(root)
-        quiet_lerobot()
-        from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-        self._dataset = LeRobotDataset(f"regrasp-gym/{root.name}", root=root, video_backend="pyav")
-        columns = [STATE, ENVIRONMENT_STATE, ACTION, REWARD, SUCCESS]
-        self._frames = self._dataset.hf_dataset.select_columns(columns).with_format("numpy")
-
-    def __len__(self) -> int:
-        return self._dataset.num_episodes
-
-    def read(self, episode_index: int) -> EpisodeFrames:
-        """The numbers of one episode."""
-        episodes = self._dataset.meta.episodes
-        assert episodes is not None
-        episode = episodes[episode_index]
-        rows = self._frames[episode["dataset_from_index"] : episode["dataset_to_index"]]
-        return EpisodeFrames(
-            state=np.asarray(rows[STATE], dtype=np.float32),
-            environment_state=np.asarray(rows[ENVIRONMENT_STATE], dtype=np.float32),
-            action=np.asarray(rows[ACTION], dtype=np.float32),
-            reward=np.asarray(rows[REWARD], dtype=np.float32),
-            success=np.asarray(rows[SUCCESS], dtype=bool),
-        )
-
-
-def replay_env(record: EpisodeRecord, **changes: Any) -> gym.Env:
-    """The environment an episode was recorded in, without camera observations: they do not touch the physics.
-
-    Args:
-        record: of the episode.
-        **changes: other keyword arguments for ``gym.make``.
-    """
-    return make_env(record.env_id, record.env_kwargs | {"obs_type": VECTORS_OBS_TYPE} | changes)
-
-
 def replay_episode(env: gym.Env, record: EpisodeRecord, frames: EpisodeFrames) -> ReplayResult:
     """Reset ``env`` with the episode's seed, run its actions and compare.
 
     Args:
         env: made by `replay_env`.
-        record: of the episode.
+        record: record of the episode.
         frames: its numbers.
     """
     started = time.perf_counter()
@@ -189,7 +116,7 @@ def replay_episode(env: gym.Env, record: EpisodeRecord, frames: EpisodeFrames) -
         if success != frames.success[index]:
             difference = difference or f"frame {index}: {SUCCESS}"
         if (terminated or truncated) and index < count - 1:
-            difference = difference or f"frame {index}: the episode ended, recorded were {count} frames"
+            difference = difference or f"frame {index}: the episode ended, {count} frames were recorded"
             break
     if digest_of(env) != record.final_state_sha256:
         difference = difference or "physics state after the last step"
@@ -207,76 +134,21 @@ def replay_episode(env: gym.Env, record: EpisodeRecord, frames: EpisodeFrames) -
     )
 
 
-def film_episode(root: Path, record: EpisodeRecord, path: Path) -> None:
-    """Run an episode again and write what the overview camera sees as an MP4 file.
-
-    Args:
-        root: folder of the dataset.
-        record: of the episode.
-        path: file to write; its folder is made.
-    """
-    frames = EpisodeReader(root).read(record.episode_index)
-    env = replay_env(record, render_mode="rgb_array")
-
-    def pictures() -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-        env.reset(seed=record.seed)
-        yield _picture(env)
-        for action in frames.action:
-            env.step(action)
-            yield _picture(env)
-
-    try:
-        write_film(path, pictures(), env.metadata["render_fps"])
-    finally:
-        env.close()
-
-
-def picture_plan(record: EpisodeRecord, path: Path, stored: Path) -> None:
-    """Draw the plan of an episode.
-
-    Args:
-        record: of the episode.
-        path: PNG file to write; its folder is made.
-        stored: pickle of the plan, written by this very collection. Without it the scene is planned again, which
-            takes longer and comes to the same.
-
-    Raises:
-        RolloutError: the expert finds no plan now, although it did when the episode was recorded.
-    """
-    from regrasp_gym.expert.plan_picture import save_plan_picture
-
-    env = replay_env(record, render_mode="rgb_array")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        env.reset(seed=record.seed)
-        if stored.exists():
-            plan = pickle.loads(stored.read_bytes())
-        else:
-            config = RolloutOptions(record.env_id, record.env_kwargs, record.expert, record.strategy)
-            expert = make_expert(config, env)
-            if not expert.reset():
-                raise RolloutError(f"No plan for seed {record.seed} any more: {expert.failure}")
-            plan = expert.plan
-        save_plan_picture(base_env(env), plan, path)
-    finally:
-        env.close()
-
-
 def main() -> int:
-    """Entry point of ``regrasp-replay``: 0 if everything is reproduced, 1 if not, 2 for wrong use."""
+    """Entry point of ``regrasp-replay``; exit code 1 if an episode is not reproduced."""
     options = tyro.cli(ReplayOptions, prog="regrasp-replay", description=ReplayOptions.__doc__)
     quiet_environment()
     return run_command("regrasp-replay", lambda: replay(options))
 
 
 def replay(options: ReplayOptions, console: Console | None = None) -> int:
-    """Do what ``options`` say.
+    """Replay episodes and report.
 
     Returns:
         0 if every episode is reproduced, 1 otherwise.
 
     Raises:
-        DatasetError: there is no whole dataset at the given folder, or it has no such episode.
+        DatasetError: the folder holds no complete dataset, or it has no such episode.
         RolloutError: the environment cannot be made.
     """
     from regrasp_datasets.verify import require_valid
@@ -288,7 +160,7 @@ def replay(options: ReplayOptions, console: Console | None = None) -> int:
     wanted = options.episodes or tuple(range(len(records)))
     for index in wanted:
         if not 0 <= index < len(records):
-            raise DatasetError(f"{options.root} has episodes 0 to {len(records) - 1}, and none of index {index}.")
+            raise DatasetError(f"{options.root} has episodes 0 to {len(records) - 1}: there is no episode {index}.")
     reader = EpisodeReader(options.root)
     results: list[ReplayResult] = []
     env: gym.Env | None = None
@@ -348,13 +220,6 @@ def _report(options: ReplayOptions, results: list[ReplayResult], records: list[E
         }
         write_json(options.json_file, summary)
     return 0 if len(good) == len(results) else 1
-
-
-def _picture(env: gym.Env) -> np.ndarray:
-    picture = env.render()
-    if not isinstance(picture, np.ndarray):
-        raise RolloutError(f"render() gave a {type(picture).__name__}, not a picture.")
-    return picture
 
 
 if __name__ == "__main__":

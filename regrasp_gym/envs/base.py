@@ -34,7 +34,7 @@ Goals = tuple[Float[np.ndarray, " 10"], Float[np.ndarray, " 10"]]
 
 @dataclass(frozen=True, eq=False)
 class EnvState:
-    """All that the future of an episode depends on, but for wrappers.
+    """Everything that the future of an episode depends on, wrappers excepted.
 
     Attributes:
         joints: names of the arm's joints.

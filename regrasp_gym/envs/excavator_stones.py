@@ -56,7 +56,7 @@ class ExcavatorStonesEnv(RegraspEnv):
 
     **Task.** A 21 t excavator with a tiltrotator and a two-jaw stone grapple stands between two slopes of earth. The
     target is the stone that the goal is for; it lies among others on the slope to the machine's right and belongs on
-    the slope to its left, often on another side of its. The grapple can not take it from below: then the stone has to
+    the slope to its left, often on another of its sides. The grapple cannot take it from below: then the stone has to
     be put down on the flat ground in front of the machine, and taken again another way.
 
     **Randomizations.** From the scene's seed: the stones (convex, 12–60 corners, 100–1,000 kg), the slopes (their
@@ -65,7 +65,7 @@ class ExcavatorStonesEnv(RegraspEnv):
     pointing down with open jaws.
 
     **Success.** The target is within 0.2 m and 15° of the goal pose, moves no faster than 40 mm/s and 0.1 rad/s,
-    something else than the grapple supports it, and the grapple does not touch it. ``info["is_success"]`` says so for
+    something other than the grapple supports it, and the grapple does not touch it. ``info["is_success"]`` says so for
     the present step; it can turn false again if the target is touched or moved.
 
     **Goal.** A pose of the target at rest: on one of its sides on the left slope, or on a side of another stone.

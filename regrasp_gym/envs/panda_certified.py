@@ -34,7 +34,7 @@ class _CertifiedEnv(PandaYCBEnv):
 class PandaYCBDirectEnv(_CertifiedEnv):
     """The scenes of `PandaYCBEnv` in which one grasp suffices.
 
-    All is as documented there, but for the meaning of seeds: ``reset(seed=k)`` takes the k-th scene of a list that is
+    All is as documented there, except the meaning of seeds: ``reset(seed=k)`` takes the k-th scene of a list that is
     shipped with the package, and begins again at its start (so give k from 0 to ``len(env.unwrapped.scene_seeds) - 1``
     for different scenes). ``info["scene_seed"]`` is the seed under which `PandaYCBEnv` has the same scene, and
     ``reset(options={"scene": s})`` means that seed, listed or not.
@@ -44,7 +44,7 @@ class PandaYCBDirectEnv(_CertifiedEnv):
 
     Args:
         split: ``"train"``, ``"val"`` or ``"test"``; no scene is in two of them.
-        **arguments: as for `PandaYCBEnv`, but for ``scene_config``: the list holds for the default one.
+        **arguments: as for `PandaYCBEnv`, except ``scene_config``: the list holds for the default one.
 
     ## Version History
 
@@ -63,7 +63,7 @@ class PandaYCBRegraspEnv(_CertifiedEnv):
 
     Args:
         split: ``"train"``, ``"val"`` or ``"test"``; no scene is in two of them.
-        **arguments: as for `PandaYCBEnv`, but for ``scene_config``: the list holds for the default one.
+        **arguments: as for `PandaYCBEnv`, except ``scene_config``: the list holds for the default one.
 
     ## Version History
 

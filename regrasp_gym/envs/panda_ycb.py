@@ -61,7 +61,7 @@ class PandaYCBEnv(RegraspEnv):
     configuration with the gripper open.
 
     **Success.** The target is within 25 mm and 15° of the goal pose, moves no faster than 10 mm/s and 0.2 rad/s,
-    something else than the gripper supports it, and the gripper does not touch it. ``info["is_success"]`` says so for
+    something other than the gripper supports it, and the gripper does not touch it. ``info["is_success"]`` says so for
     the present step; it can turn false again if the target is touched or moved.
 
     **Goal.** A pose of the target: upright on the shelf's board, its narrow sides within 29° of where they are to the

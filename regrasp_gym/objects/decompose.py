@@ -197,7 +197,7 @@ def _run_coacd(
             if pieces is not None:
                 return pieces
             said = run.stderr.strip()[-500:] or f"exit status {run.returncode}"
-    raise GeometryError(f"CoACD can not decompose the mesh of {len(faces)} faces ({said}); take max_pieces=1, its hull")
+    raise GeometryError(f"CoACD cannot decompose the mesh of {len(faces)} faces ({said}); take max_pieces=1, its hull")
 
 
 def _key(vertices: np.ndarray, faces: np.ndarray, *options: float) -> str:
@@ -234,7 +234,7 @@ def _write(file: Path, pieces: Sequence[np.ndarray]) -> None:
         os.replace(half.name, file)
     except OSError as error:
         warnings.warn(
-            f"the convex pieces can not be kept in {file.parent} and are made anew each time: {error}; "
+            f"the convex pieces cannot be kept in {file.parent} and are made anew each time: {error}; "
             "set REGRASP_CACHE_DIR to a folder that can be written",
             stacklevel=4,
         )

@@ -1,4 +1,4 @@
-"""One style for the figures of all benchmarks. matplotlib (extra ``bench``) is imported only to draw."""
+"""Figures in one style. matplotlib (extra ``bench``) is imported only to draw."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_gym.errors import BenchError
-from regrasp_gym.reports.trials import peer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.typing import RcKeyType
 
-OURS, OURS_TOO, PEER, PEER_TOO, PAPER = "#1f6f8b", "#7fb7be", "#d1783f", "#eab98f", "#9a9a9a"
-"""Colours: this package, a second quantity of it, a peer, a second quantity of that, figures of the paper."""
-COLOURS = (OURS, PEER, OURS_TOO, PEER_TOO, PAPER, "#7a5195", "#4a7c3a")
+OURS, OURS_LIGHT, PEER, PEER_LIGHT, PAPER = "#1f6f8b", "#7fb7be", "#d1783f", "#eab98f", "#9a9a9a"
+"""Colours of this project and of a peer, each with a lighter one for a second quantity, and of the paper."""
+COLOURS = (OURS, PEER, OURS_LIGHT, PEER_LIGHT, PAPER, "#7a5195", "#4a7c3a")
 FORMATS = (".svg", ".png", ".pdf")
 
-_STYLE: dict[str, Any] = {
+_STYLE: dict[RcKeyType, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -29,12 +29,12 @@ _STYLE: dict[str, Any] = {
     "grid.alpha": 0.3,
     "legend.frameon": False,
     "savefig.dpi": 150,
-    # The same figures give the same file.
+    # Equal figures give equal files.
     "svg.hashsalt": "regrasp",
 }
 
 
-def draw(
+def save_figure(
     file: Path | None,
     paint: Callable[..., None],
     panels: int = 1,
@@ -45,7 +45,7 @@ def draw(
     Args:
         file: .svg, .png or .pdf.
         paint: called with one matplotlib ``Axes`` per panel.
-        panels: how many, side by side.
+        panels: number of panels, side by side.
         size: width and height of a panel, inches.
 
     Raises:
@@ -54,21 +54,28 @@ def draw(
     if file is None:
         return
     check_format(file)
-    matplotlib = peer("matplotlib")
-    figures = peer("matplotlib.figure")
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise BenchError(f"figures need matplotlib: pip install 'regrasp-gym[bench]' ({error})") from error
     with matplotlib.rc_context(_STYLE):
-        figure = figures.Figure(figsize=(panels * size[0], size[1]), layout="constrained")
+        figure = Figure(figsize=(panels * size[0], size[1]), layout="constrained")
         paint(*figure.subplots(1, panels, squeeze=False)[0])
         file.parent.mkdir(parents=True, exist_ok=True)
-        # A date would make every file a new one.
+        # With the date in it, every file would differ.
         dated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
         figure.savefig(file, metadata=dated.get(file.suffix))
 
 
 def check_format(file: Path | None) -> None:
-    """Raise `BenchError` for a figure's file that cannot be written, before the work that it would show."""
+    """Check that a figure can be written in the format of ``file``, before the work that it shows.
+
+    Raises:
+        BenchError: its suffix is not one of `FORMATS`.
+    """
     if file is not None and file.suffix not in FORMATS:
-        raise BenchError(f"--plot {file} is no picture; its name should end in {', '.join(FORMATS)}")
+        raise BenchError(f"--plot {file} is not a picture: give a name that ends in {', '.join(FORMATS)}")
 
 
 def bars(
@@ -78,14 +85,14 @@ def bars(
     colours: Sequence[str] = COLOURS,
     spans: Mapping[str, Sequence[tuple[float, float] | None]] | None = None,
 ) -> None:
-    """Bars side by side for each group, with the value over each.
+    """Draw bars side by side for each group, with the value over each.
 
     Args:
         axes: where to draw.
         groups: names under the bars.
-        series: one value per group; None where there is none.
+        series: one value per group; None draws no bar.
         colours: one per series.
-        spans: lower and upper end of the error bar of some series' values.
+        spans: lower and upper end of the error bars of some series.
     """
     width = 0.8 / len(series)
     at = np.arange(len(groups))
@@ -104,18 +111,18 @@ def bars(
     axes.legend()
 
 
-def shares(
+def cumulative_shares(
     axes: Axes,
     series: Mapping[str, Float[np.ndarray, " N"]],
     label: str,
     colours: Sequence[str] = COLOURS,
 ) -> None:
-    """Share of the values up to each value, one curve per series, on a logarithmic axis.
+    """Draw the share of values up to each value, one curve per series, on a logarithmic axis.
 
     Args:
         axes: where to draw.
         series: (N,) positive values each; infinite ones keep the curve below 1.
-        label: of the axis, with the unit.
+        label: label of the axis, with the unit.
         colours: one per series.
     """
     for i, (name, values) in enumerate(series.items()):
@@ -124,7 +131,7 @@ def shares(
         share = np.arange(1, len(finite) + 1) / max(len(ordered), 1)
         axes.step(finite, share, where="post", label=f"{name} ({len(ordered)})", color=colours[i % len(colours)])
     axes.set_xscale("log")
-    # Whole decades: with less, the marks between would be labelled, on top of each other.
+    # Whole decades; otherwise matplotlib labels the minor ticks, and the labels overlap.
     low, high = axes.get_xlim()
     axes.set_xlim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
     axes.set_ylim(0, 1.02)

@@ -10,7 +10,7 @@ import pytest
 
 import regrasp_gym  # noqa: F401  registers the environments
 from regrasp_bench import certify
-from regrasp_bench.certify import CRITERIA, CertifyCommand, kind_of, scenes_digest, setting_of
+from regrasp_bench.certify import CRITERIA, CertifyOptions, kind_of, scenes_digest, setting_of
 from regrasp_gym.errors import OptionError, SceneError
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 from regrasp_gym.seeds import FIRST_SEED, SPLITS, read_seeds, split_of
@@ -91,9 +91,9 @@ def test_scenes_judged_before_stay_listed(tmp_path, monkeypatch):
     monkeypatch.setattr(certify, "_prepare", prepare)
     places = {"records": tmp_path / "records.jsonl", "folder": tmp_path / "lists", "json_file": tmp_path / "n.json"}
     with pytest.raises(SceneError, match=r"panda_ycb_regrasp in the split 'val'.*--val"):
-        certify.run(CertifyCommand(train=4, val=1, test=2, **places))
+        certify.certify(CertifyOptions(train=4, val=1, test=2, **places))
     assert not places["folder"].exists()
-    assert certify.run(CertifyCommand(train=2, val=2, test=2, **places)) == 0
+    assert certify.certify(CertifyOptions(train=2, val=2, test=2, **places)) == 0
     assert len(judged) == len(set(judged)) == 8
     lists = [json.loads((places["folder"] / f"{name}.json").read_text()) for name in CRITERIA]
     assert [content["scenes"]["train"] for content in lists] == [[0, 2], [1, 3]]
@@ -112,7 +112,7 @@ def test_verdicts_of_another_effort_do_not_count(tmp_path, monkeypatch):
     records = tmp_path / "records.jsonl"
     records.write_text("".join(json.dumps({**other, "trial": k, "stages": ["a"]}) + "\n" for k in range(3)))
     with pytest.raises(SceneError, match="'train'"):
-        certify.run(CertifyCommand(train=3, val=1, test=1, records=records, folder=tmp_path))
+        certify.certify(CertifyOptions(train=3, val=1, test=1, records=records, folder=tmp_path))
 
 
 @pytest.mark.slow

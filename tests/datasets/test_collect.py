@@ -20,8 +20,9 @@ from scripted_experts import STEPS
 import regrasp_gym  # noqa: F401
 from regrasp_datasets.collect import CollectError, CollectOptions, collect
 from regrasp_datasets.features import ACTION, DONE, ENVIRONMENT_STATE, SEED, STAGE_INDEX, STATE
+from regrasp_datasets.films import EpisodeReader, replay_env
 from regrasp_datasets.records import EPISODES_FILE, DatasetError, read_attempts, read_episodes
-from regrasp_datasets.replay import EpisodeReader, ReplayOptions, replay, replay_env
+from regrasp_datasets.replay import ReplayOptions, replay
 from regrasp_datasets.rollout import RolloutError
 from regrasp_datasets.verify import InvalidDatasetError, problems, require_valid, video_frames
 from regrasp_datasets.workers import WorkerError
@@ -213,7 +214,7 @@ def test_replay_films_an_episode(dataset, tmp_path):
 
 
 def test_replay_of_an_unknown_episode(dataset):
-    with pytest.raises(DatasetError, match="none of index 9"):
+    with pytest.raises(DatasetError, match="there is no episode 9"):
         replay(ReplayOptions(dataset, episodes=(9,)), quiet())
 
 

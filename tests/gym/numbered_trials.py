@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from regrasp_gym.errors import BenchError
-from regrasp_gym.reports.trials import Record, run_trials
+from regrasp_gym.reports.report import Record
+from regrasp_gym.reports.trials import run_trials
 
 
 def squares(setting: Record) -> Callable[[int], Record]:

@@ -88,8 +88,8 @@ def read_demonstrations(root: Path, env: gym.Env) -> list[list[_Transition]]:
         MismatchError: no episode succeeds.
         DatasetError: there is no whole dataset.
     """
+    from regrasp_datasets.films import EpisodeReader
     from regrasp_datasets.records import read_episodes
-    from regrasp_datasets.replay import EpisodeReader
 
     records = read_episodes(root)
     reader = EpisodeReader(root)

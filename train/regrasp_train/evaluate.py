@@ -22,7 +22,8 @@ from regrasp_datasets.quiet import quiet_environment
 from regrasp_datasets.rollout import make_env
 from regrasp_gym.rendering.film import write_film
 from regrasp_gym.reports.command_line import JsonFile, run_command
-from regrasp_gym.reports.trials import Record, Trial, crashes, run_trials, wilson, write_report
+from regrasp_gym.reports.report import Record, wilson, write_report
+from regrasp_gym.reports.trials import Trial, crashes, print_crashes, run_trials
 from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
 from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.progress import Progress, Reached
@@ -233,8 +234,7 @@ def _show(summary: Record) -> None:
     console.print(f"came as far as: {reached}", highlight=False)
     for cause, count in summary["failures"].items():
         console.print(f"failed: {count} × {cause}", highlight=False)
-    for error, seeds in summary["crashed"].items():
-        console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
+    print_crashes(summary["crashed"])
 
 
 if __name__ == "__main__":

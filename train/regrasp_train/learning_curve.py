@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from regrasp_gym.reports.files import read_lines
-from regrasp_gym.reports.plots import COLOURS, draw
-from regrasp_gym.reports.trials import wilson
+from regrasp_gym.reports.plots import COLOURS, save_figure
+from regrasp_gym.reports.report import wilson
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,4 +73,4 @@ def plot_curves(curves: Mapping[str, Sequence[CurvePoint]], path: Path | None, t
         axes.set(xlabel="environment steps", ylabel="success (%)", ylim=(-2, 102), title=title)
         axes.legend()
 
-    draw(path, paint)
+    save_figure(path, paint)

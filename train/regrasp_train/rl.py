@@ -330,7 +330,7 @@ def check_report(command: TrainRlOptions) -> None:
 
 def report(command: TrainRlOptions, clock: Clock) -> None:
     """Say how well it went, and write the learning curve where it was asked for."""
-    from regrasp_gym.reports.trials import write_report
+    from regrasp_gym.reports.report import write_report
     from regrasp_train.learning_curve import curve_report, plot_curves, read_points
 
     curves = {run.name: read_points(run / CURVE_FILE) for run in (command.run, *command.compare)}

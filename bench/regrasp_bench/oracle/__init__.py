@@ -1,1 +1,1 @@
-"""The exhaustive search that says which scenes one grasp suffices for."""
+"""The exhaustive search that tells in which scenes one grasp suffices."""

@@ -1,8 +1,8 @@
-"""Dense antipodal grasps of a target by itself: the candidates of the oracle, worked out once per target.
+"""Dense antipodal grasps of a target alone: the candidates of the oracle, computed once per target.
 
-Nothing is optimised here. Rays from many surface points give closing axes; about each axis the gripper is turned,
-moved across and pushed in by small steps; where the pads then touch is read off a dense cloud of surface points, and
-the exact hulls decide whether palm and fingers keep clear of the target.
+Nothing is optimised. Rays from many surface points give closing axes. About each axis, the gripper is turned, moved
+sideways and pushed in by small steps. A dense cloud of surface points tells where the pads touch, and the exact hulls
+tell whether palm and fingers keep their margins from the target.
 """
 
 from __future__ import annotations
@@ -13,34 +13,34 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import RigidTransform
 
-from regrasp_bench.peers.coal_shapes import Posed, Shape, clear
+from regrasp_bench.peers.coal_shapes import PosedShapes, Shape, keeps_margins
 from regrasp_planner import Body, Gripper
 from regrasp_planner.geometry.hull import qhull
 from regrasp_planner.robot.gripper import finger_coordinate, reduce_gripper
 
 _ROUND = 0.3
-"""Share of its radius by which a round pad is touched off its middle: sides slant by up to 15°."""
+"""Contacts on a round pad are up to this share of its radius off its middle: sides slant by up to 15°."""
 
 _TOUCH = 5e-4
-"""Surface points this near (metres) to where a pad touches belong to the contact."""
+"""Surface points within this distance (metres) of the touching point belong to the contact."""
 
 
 @dataclass(frozen=True)
 class AntipodalOptions:
-    """How densely grasps are sampled, and what counts as one. The last four mean what they mean in GraspGen.
+    """How densely grasps are sampled, and what counts as a grasp. The last four are as in GraspGen.
 
     Attributes:
-        rays: surface points from which a ray looks for the opposite side.
-        cloud: surface points that contacts are read off.
-        cone: half angle of the friction cone, radians.
-        axis_step: closing axes nearer to each other than this are one, radians.
-        angles: approach angles about each axis.
+        rays: number of surface points with a ray to the opposite side.
+        cloud: number of surface points that tell contacts.
+        cone: half-angle of the friction cone, radians.
+        axis_step: closing axes nearer to each other than this count as one, radians.
+        angles: number of approach angles about each axis.
         across: step between positions across the fingers, metres.
-        depths: how many steps the gripper is pushed in, from just deep enough to as deep as its palm allows.
+        depths: number of depths, from just deep enough to as deep as the palm allows.
         quality: least f = f_anti + f_align (the paper's eq. 1–3).
-        depth: how deep the grasp centre has to lie in the target, as a share of how far the fingers reach beyond it.
-        margin: of the open gripper from obstacles and of its palm from the target, per metre of opening.
-        finger_margin: of the open fingers from the target, metres.
+        depth: least depth of the grasp centre in the target, as a share of the fingers' length beyond that centre.
+        margin: margin of the open gripper from obstacles, and of its palm from the target, per metre of opening.
+        finger_margin: margin of the open fingers from the target, metres.
     """
 
     rays: int = 1500
@@ -58,13 +58,13 @@ class AntipodalOptions:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """N grasps of a target that are feasible as far as the target alone tells.
+    """N grasps of a target that are feasible without obstacles.
 
     Attributes:
         rotations, positions: (N, 3, 3) and (N, 3) gripper frames in the target's frame.
-        thetas: (N,) finger coordinate at which both pads touch: exact on flat sides, and too small by up to some 3 mm
-            on slanting ones, where the point that touches first may lie between those of the cloud.
-        openings: (N,) finger coordinate of the open gripper.
+        thetas: (N,) finger coordinates at which both pads touch: exact on flat sides, and too small by up to about 3 mm
+            on slanting ones, where the point of first contact may lie between those of the cloud.
+        openings: (N,) finger coordinates of the open gripper.
     """
 
     rotations: Float[np.ndarray, "N 3 3"]
@@ -73,8 +73,8 @@ class Candidates:
     openings: Float[np.ndarray, " N"]
 
 
-class Hand:
-    """A gripper's bodies as exact shapes, open as far as told."""
+class GripperShapes:
+    """A gripper's bodies as exact shapes, at any finger coordinate."""
 
     def __init__(self, gripper: Gripper) -> None:
         palms = [gripper.palm[i] for i in range(gripper.palm.batch_size)]
@@ -90,24 +90,24 @@ class Hand:
         rotations: Float[np.ndarray, "N 3 3"],
         positions: Float[np.ndarray, "N 3"],
         thetas: Float[np.ndarray, " N"],
-    ) -> Posed:
-        """The bodies with the gripper frame at N poses and the fingers at N coordinates."""
+    ) -> PosedShapes:
+        """The bodies at N poses of the gripper frame and N finger coordinates."""
         count = len(self.shapes)
         local = RigidTransform.from_exp_coords((thetas[:, None, None] * self._twists).reshape(-1, 6))
         shifts = local.translation.reshape(-1, count, 3) @ np.swapaxes(rotations, 1, 2)
         turns = rotations[:, None] @ local.rotation.as_matrix().reshape(-1, count, 3, 3)
-        return Posed(self.shapes, turns, positions[:, None] + shifts)
+        return PosedShapes(self.shapes, turns, positions[:, None] + shifts)
 
 
 def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | None = None) -> Candidates:
-    """All grasps of a dense grid that hold the target and that palm and fingers leave room for.
+    """All grasps of a dense grid that hold the target with palm and fingers clear of it.
 
     Each stands for itself and for the one with the fingers exchanged (a half turn about the approach axis), which
-    takes the same room.
+    occupies the same space.
 
     Args:
         target: convex pieces in the target's frame.
-        gripper: the gripper, the same from both sides.
+        gripper: a gripper that this half turn leaves unchanged.
         options: see `AntipodalOptions`.
     """
     options = options or AntipodalOptions()
@@ -115,7 +115,7 @@ def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | No
     surface = _Surface(target)
     axes = _closing_axes(surface, rng, float(gripper.max_opening), options)
     if any(float(gripper.fingers[int(k)].radius) > 0 for k in gripper.contact):
-        # Against a round pad a corner is held as well as a side.
+        # Round pads can also hold a corner.
         axes = _spread(np.concatenate([axes, surface.normals]), options.axis_step)
     cloud = surface.cloud(rng, options.cloud)
     parts = [_about_axis(axis, cloud, surface, gripper, options) for axis in axes]
@@ -127,12 +127,12 @@ def sample_grasps(target: Body, gripper: Gripper, options: AntipodalOptions | No
     rotations = axes_of @ frame.T
     spread = options.margin * float(gripper.max_opening) * reduce_gripper(gripper).travel
     opened = np.minimum(thetas + spread, float(gripper.upper))
-    hand = Hand(gripper)
-    margins = np.full((len(hand.shapes), len(target.pieces)), options.finger_margin)
-    margins[: hand.palms] = options.margin * float(gripper.max_opening)
+    shapes = GripperShapes(gripper)
+    margins = np.full((len(shapes.shapes), len(target.pieces)), options.finger_margin)
+    margins[: shapes.palms] = options.margin * float(gripper.max_opening)
     pieces = [Shape.of(piece) for piece in target.pieces]
-    still = Posed(pieces, np.tile(np.eye(3), (len(pieces), 1, 1)), np.zeros((len(pieces), 3)))
-    free = clear(hand.at(rotations, positions, opened), still, margins)
+    still = PosedShapes(pieces, np.tile(np.eye(3), (len(pieces), 1, 1)), np.zeros((len(pieces), 3)))
+    free = keeps_margins(shapes.at(rotations, positions, opened), still, margins)
     return Candidates(rotations[free], positions[free], thetas[free], opened[free])
 
 
@@ -146,31 +146,31 @@ class _Surface:
         self.normals = np.concatenate([planes[:, :3] for planes in self.planes])
 
     def depth(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-        """How deep points lie in the piece they are deepest in, metres; negative outside."""
+        """Depth of points in the piece in which they are deepest, metres; negative outside."""
         return np.max([-(points @ e[:, :3].T + e[:, 3]).max(1) for e in self.planes], axis=0)
 
     def cloud(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "N 3"]:
-        """Points spread over the boundary, and all corners."""
+        """Points spread over the boundary, and all its corners."""
         points, _ = self.sample(rng, count)
         corners = np.concatenate([hull.points[hull.vertices] for hull in self.hulls])
         return np.concatenate([points, corners[self.depth(corners) < 1e-6]])
 
     def sample(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 3) points by area and (N, 3) outward normals, without those inside another piece."""
+        """(N, 3) points, uniform by area, and (N, 3) outward normals, without those inside another piece."""
         triangles = np.concatenate([hull.points[hull.simplices] for hull in self.hulls])
         normals = np.concatenate([hull.equations[:, :3] for hull in self.hulls])
         areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
         chosen = rng.choice(len(triangles), count, p=areas / areas.sum())
         weights = rng.dirichlet(np.ones(3), count)
         points = np.einsum("nk,nki->ni", weights, triangles[chosen])
-        # Rays to the middles of the facets are the exact pairs of facets.
+        # Rays from the middles of the facets find the exact pairs of facets.
         points = np.concatenate([points, triangles.mean(1)])
         chosen = np.concatenate([chosen, np.arange(len(triangles))])
         out = self.depth(points) < 1e-6
         return points[out], normals[chosen[out]]
 
     def opposite(self, points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where rays into the target leave it last: distances (N,) and outward normals there (N, 3)."""
+        """Distances (N,) at which rays into the target leave it for good, and outward normals there (N, 3)."""
         best, normal = np.zeros(len(points)), np.zeros((len(points), 3))
         for e in self.planes:
             speed = directions @ e[:, :3].T
@@ -188,7 +188,7 @@ class _Surface:
 def _closing_axes(
     surface: _Surface, rng: np.random.Generator, opening: float, options: AntipodalOptions
 ) -> Float[np.ndarray, "m 3"]:
-    """Axes of antipodal pairs, and the axes half way between the normals where these are not parallel."""
+    """Axes of antipodal pairs, and axes halfway between their normals."""
     points, normals = surface.sample(rng, options.rays)
     width, far = surface.opposite(points, -normals)
     taken = (width > 0) & (width < opening) & ((-normals * far).sum(1) > np.cos(options.cone))
@@ -198,7 +198,7 @@ def _closing_axes(
 
 
 def _spread(axes: Float[np.ndarray, "m 3"], step: float) -> Float[np.ndarray, "k 3"]:
-    """Of axes nearer to each other than ``step`` radians the first."""
+    """The first of any axes that are nearer to each other than ``step`` radians."""
     chosen: list[np.ndarray] = []
     for axis in axes:
         if all(abs(axis @ other) < np.cos(step) for other in chosen):
@@ -262,7 +262,7 @@ def _about_axis(
 
 
 def _pad(gripper: Gripper, theta: float) -> Float[np.ndarray, "N 3"]:
-    """Corners of the face of a pad, of a round one as far round as a slanting side touches it, in the gripper frame."""
+    """Corners of a pad's face in the gripper frame; of a round pad, as far round as a slanting side touches it."""
     pad = gripper.fingers[int(gripper.contact[0])]
     corners, radius = pad.hull_vertices(), float(pad.radius)
     if radius > 0:
@@ -272,7 +272,7 @@ def _pad(gripper: Gripper, theta: float) -> Float[np.ndarray, "N 3"]:
 
 
 def _steps(low: float, high: float, step: float) -> Float[np.ndarray, " n"]:
-    """Evenly spread positions no further apart than a step, ends and middle included."""
+    """Evenly spaced positions at most a step apart, ends and middle included."""
     if high <= low:
         return np.array([0.5 * (low + high)])
     return np.linspace(low, high, 2 * int(np.ceil(0.5 * (high - low) / step)) + 1)

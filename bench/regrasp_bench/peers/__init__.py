@@ -1,1 +1,1 @@
-"""Other people's libraries in the planner's place: coal, mink, OMPL."""
+"""Other libraries in the place of the planner's modules: coal, mink and OMPL."""

@@ -1,6 +1,7 @@
-"""Collisions by coal: a judge for paths and configurations that shares no code with the planner's own distances.
+"""Collisions of paths and configurations by coal, without the planner's own distances.
 
-Bodies, pairs and allowed overlaps are those of a planner's collision model; kinematics, culling and distances are not.
+Bodies, pairs and allowed overlaps are those of a planner's collision model. Kinematics, culling and distances are
+independent of it.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from regrasp_gym.reports.trials import peer
+from regrasp_bench.peers.coal_shapes import polytope
+from regrasp_bench.peers.optional import import_peer
 
 if TYPE_CHECKING:
     from regrasp_planner.collision.model import CollisionModel
@@ -22,35 +23,41 @@ Path = Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N n"]]
 """Configurations (N, n), radians, at N numbers from 0 to 1."""
 
 BODY_STEP, JOINT_STEP = 0.01, np.deg2rad(1.0)
-"""Most that a point of any body (metres), and any joint (radians), moves between two checked configurations."""
+"""Largest motion of a point of any body (metres), and of any joint (radians), between two checked configurations."""
 _ROUNDING = 1e-9
 _FAR = 1.0
-"""Clearance (metres) reported where nothing is nearer."""
+"""Clearance (metres) that is reported where everything is further away."""
 
 
 class ExactChecker:
     """Exact distances of a collision model's hulls, swept by their radii, at a finger coordinate.
 
-    A pair collides where it is nearer than 0, or than its margin where that is negative (an allowed overlap). Margins
-    above 0 are what a planner keeps beyond that, and do not count here.
+    A pair collides if its distance is below 0, or below its margin if that is negative (an allowed overlap). Positive
+    margins are those that a planner keeps in addition; they do not count here.
 
     Args:
         model: bodies, and the pairs that must not touch.
         theta: finger coordinate.
+
+    Attributes:
+        lower, upper: (n,) joint limits, radians.
+        axes: (n, 3) joint axes in their own frames.
+        pairs: (P, 2) numbers of the bodies of each pair.
+        margin, floor: (P,) margin of each pair, and the least distance without collision, metres.
 
     Raises:
         BenchError: coal is not installed.
     """
 
     def __init__(self, model: CollisionModel, theta: float):
-        self._coal: Any = peer("coal")
+        self._coal: Any = import_peer("coal")
         self._set_arm(model)
         self._set_bodies(model, theta)
         self._distance_request = self._coal.DistanceRequest()
         self._distance_request.enable_signed_distance = True
 
     def free(self, q: Float[np.ndarray, "N n"]) -> bool:
-        """Whether all of N configurations (radians) are free of collisions; ends at the first that is not."""
+        """Whether N configurations (radians) are all free of collisions; stops at the first that is not."""
         turn, shift = self._poses(q)
         sample, pair = np.nonzero(self._bounds(turn, shift) < 0)
         places: dict[tuple[int, int], Any] = {}
@@ -60,14 +67,14 @@ class ExactChecker:
         return True
 
     def keeps_margins(self, q: Float[np.ndarray, "N n"]) -> Bool[np.ndarray, " N"]:
-        """Which of N configurations keep the whole margin of every pair, as a planner wants it."""
+        """Which of N configurations keep the whole margin of every pair, as a planner has to."""
         beyond = self.margin - self.floor
         return np.asarray((self.clearances(q, cap=float(beyond.max(initial=0.0))) >= beyond).all(axis=1))
 
     def clearances(self, q: Float[np.ndarray, "N n"], cap: float = 0.0) -> Float[np.ndarray, "N P"]:
-        """Distance beyond the least allowed, of all pairs at N configurations, metres.
+        """Distances of all pairs at N configurations beyond the least allowed ones, metres.
 
-        Pairs that are further apart than ``cap`` (at least 0, metres) may have 1 m instead.
+        Pairs that are further apart than ``cap`` (at least 0, metres) may be reported as 1 m.
         """
         turn, shift = self._poses(q)
         out = np.full((len(q), len(self.pairs)), _FAR)
@@ -85,7 +92,7 @@ class ExactChecker:
     ) -> list[tuple[str, str, float]]:
         """Names and depth (metres) of the pairs that overlap by more than ``allowed`` on a path, deepest first.
 
-        Configurations are checked that are no further apart than `BODY_STEP` and `JOINT_STEP`.
+        The checked configurations are at most `BODY_STEP` and `JOINT_STEP` apart.
         """
         at = self.samples(path)
         worst = np.full(len(self.pairs), _FAR)
@@ -95,12 +102,12 @@ class ExactChecker:
         return sorted(found, key=lambda entry: -entry[2])
 
     def samples(self, path: Path) -> Float[np.ndarray, " N"]:
-        """Where to look at a path, 0 and 1 included, so that nothing moves by more than the steps in between."""
+        """Where to check a path, 0 and 1 included, so that nothing moves by more than the steps in between."""
         at = np.linspace(0.0, 1.0, 33)
         while True:
             turned = np.abs(np.diff(path(at), axis=0))
-            # No point of the robot is further than its reach from any of its joints' axes.
-            parts = np.maximum(turned.max(axis=1) / JOINT_STEP, turned.sum(axis=1) * self.reach / BODY_STEP)
+            # No point of the robot is further than the lever from the axis of any joint.
+            parts = np.maximum(turned.max(axis=1) / JOINT_STEP, turned.sum(axis=1) * self._lever / BODY_STEP)
             if (parts <= 1.0).all():
                 return at
             counts = np.maximum(np.ceil(parts * 1.0001).astype(int), 1)
@@ -132,6 +139,8 @@ class ExactChecker:
 
     def _set_arm(self, model: CollisionModel) -> None:
         arm = model.arrays.robot.arm
+        self.lower: Float[np.ndarray, " n"] = np.asarray(arm.lower, float)
+        self.upper: Float[np.ndarray, " n"] = np.asarray(arm.upper, float)
         self._origins = _matrices(np.asarray(arm.origins))
         self._base, self._tool = _matrices(np.asarray(arm.base)), _matrices(np.asarray(arm.tool))
         self.axes: Float[np.ndarray, "n 3"] = np.asarray(arm.axes)
@@ -142,7 +151,7 @@ class ExactChecker:
         arrays, robot = model.arrays, model.arrays.robot
         used = np.asarray(arrays.valid)
         listed = model.pairs[used]
-        # What moves first, what stands still after it.
+        # Moving bodies first.
         mover = np.asarray(arrays.mover)
         self._bodies = np.array(sorted(np.unique(listed), key=lambda i: (mover[i] == 0, i)))
         number = np.full(len(model.body_names), -1)
@@ -152,7 +161,7 @@ class ExactChecker:
         self.floor: Float[np.ndarray, " P"] = np.minimum(self.margin, 0.0)
         self._body_names = [model.body_names[i] for i in self._bodies]
 
-        # Each body rides on a frame: link 0 … n, the gripper (n + 1), or the world (n + 2).
+        # Each body is fixed to a frame: link 0 … n, the gripper (n + 1), or the world (n + 2).
         dof, local = robot.arm.dof, _matrices(np.asarray(arrays.local_poses))
         links, palms = robot.links.batch_size, robot.gripper.palm.batch_size
         fingers = np.asarray(robot.gripper.finger_of)
@@ -160,8 +169,9 @@ class ExactChecker:
         frame[:links] = np.asarray(robot.link_of)
         start = links + palms
         local[:start] = np.eye(4)
-        screws = np.asarray(robot.gripper.screws, float) * theta
-        local[start : start + len(fingers)] = np.stack([_exponential(screw) for screw in screws])[fingers]
+        # Scipy's exponential coordinates have the rotation first.
+        twists = np.roll(np.asarray(robot.gripper.screws, float) * theta, 3, axis=1)
+        local[start : start + len(fingers)] = RigidTransform.from_exp_coords(twists).as_matrix()[fingers]
         self._frame, self._local = frame[self._bodies], local[self._bodies]
 
         shapes = [arrays.bodies[int(i)] for i in self._bodies]
@@ -173,9 +183,11 @@ class ExactChecker:
         self._ball = np.linalg.norm(self._half, axis=1) + self._radius
         steps = np.linalg.norm(self._origins[:, :3, 3], axis=1).sum() + np.linalg.norm(self._tool[:3, 3])
         riding = np.linalg.norm(self._local[:, :3, 3], axis=1) + np.linalg.norm(self._center, axis=1) + self._ball
-        self.reach = float(steps + riding[self._frame <= dof + 1].max())
+        self._lever = float(steps + riding[self._frame <= dof + 1].max())
 
-        geometries = [self._hull(points, radius) for points, radius in zip(corners, self._radius, strict=True)]
+        geometries = [polytope(points) for points in corners]
+        for geometry, radius in zip(geometries, self._radius, strict=True):
+            geometry.setSweptSphereRadius(radius)
         both = [(geometries[a], geometries[b]) for a, b in self.pairs]
         self._distance = [self._coal.ComputeDistance(a, b) for a, b in both]
         self._collision = [self._coal.ComputeCollision(a, b) for a, b in both]
@@ -183,7 +195,7 @@ class ExactChecker:
         self._kept = geometries
 
     def _set_still(self, moving: int) -> None:
-        """What never changes about the bodies that stand still, in every configuration."""
+        """Precompute what is the same in every configuration, for the bodies that stand still."""
         self._moving, self._still = moving, np.arange(moving, len(self._bodies))
         self._fixed: Bool[np.ndarray, " P"] = self.pairs[:, 1] >= moving
         turn, shift = self._poses(np.zeros((1, len(self._origins))))
@@ -191,16 +203,6 @@ class ExactChecker:
         center = (turn @ self._center[moving:, :, None])[..., 0] + shift
         self._axes_of_still = turn.transpose(1, 0, 2).reshape(3, -1)
         self._places_of_still = (center[:, None, :] @ turn)[:, 0].ravel()
-
-    def _hull(self, points: Float[np.ndarray, "N 3"], radius: float) -> Any:
-        vertices, triangles = self._coal.StdVec_Vec3s(), self._coal.StdVec_Triangle()
-        for point in points:
-            vertices.append(point)
-        for a, b, c in ConvexHull(points).simplices:
-            triangles.append(self._coal.Triangle(int(a), int(b), int(c)))
-        shape = self._coal.Convex(vertices, triangles)
-        shape.setSweptSphereRadius(radius)
-        return shape
 
     def _request(self, floor: float) -> Any:
         request = self._coal.CollisionRequest()
@@ -216,17 +218,17 @@ class ExactChecker:
     def _bounds(
         self, turn: Float[np.ndarray, "N B 3 3"], shift: Float[np.ndarray, "N B 3"]
     ) -> Float[np.ndarray, "N P"]:
-        """Lower bounds of distances above 0, negative wherever bodies overlap: one's ball against the other's box."""
+        """Lower bounds of positive distances, ball about one body to box about the other; negative in overlap."""
         center = (turn @ self._center[:, :, None])[..., 0] + shift
         out = np.empty((len(turn), len(self.pairs)))
-        # Against what stands still, all at once: centres along the axes of each box are one product of matrices.
+        # Against still bodies, all at once: the centres along the axes of each box are one matrix product.
         still = self._still
         along = center[:, : self._moving].reshape(-1, 3) @ self._axes_of_still - self._places_of_still
         gap = np.maximum(np.abs(along) - self._half[still].ravel(), 0.0).reshape(len(turn), self._moving, len(still), 3)
         apart = np.sqrt(np.einsum("nasi,nasi->nas", gap, gap))
         a, b = self.pairs[self._fixed].T
         out[:, self._fixed] = apart[:, a, b - self._moving] - self._ball[a] - self._radius[b]
-        # Among what moves, seen from both.
+        # Among moving bodies, from both sides.
         first, second = self.pairs[~self._fixed].T
         bounds: list[Float[np.ndarray, "N S"]] = []
         for a, b in ((first, second), (second, first)):
@@ -261,14 +263,3 @@ def _matrices(poses: Float[np.ndarray, "*batch 7"]) -> Float[np.ndarray, "*batch
     out[..., :3, 3] = poses[..., 4:]
     out[..., 3, 3] = 1.0
     return out
-
-
-def _exponential(screw: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
-    """Motion along a twist (linear, angular)."""
-    from scipy.linalg import expm
-
-    v, w = screw[:3], screw[3:]
-    twist = np.zeros((4, 4))
-    twist[:3, :3] = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    twist[:3, 3] = v
-    return expm(twist)

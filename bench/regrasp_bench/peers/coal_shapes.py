@@ -1,7 +1,7 @@
-"""Exact collision checks of many poses at once, with coal: the yardstick that the planner is measured against.
+"""Exact collision checks of many poses at once, with coal.
 
-Boxes along the axes of either body give a lower bound of their distance for a whole batch in a few array operations;
-only pairs that might be too close are handed to coal, one by one.
+Boxes along the axes of both bodies give lower bounds of distances for a whole batch in a few array operations. Coal
+checks only pairs that may be too close, one by one.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull
 
-from regrasp_gym.reports.trials import peer
+from regrasp_bench.peers.optional import import_peer
 from regrasp_planner import ConvexBody
 
 _CHUNK = 500
@@ -21,11 +22,11 @@ _CHUNK = 500
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A convex body for coal: its core as a polytope, and the sweep that is added to every margin.
+    """A convex body for coal: its core as a polytope, and its sweep, which is added to every margin.
 
     Attributes:
-        radius: of the sweep, metres.
-        center, half: (3,) box about the swept body, metres.
+        radius: radius of the sweep, metres.
+        center, half: (3,) centre and half sides of the swept body's bounding box, metres.
         geometry: coal's polytope of the core.
     """
 
@@ -37,7 +38,7 @@ class Shape:
     @classmethod
     def of(cls, body: ConvexBody) -> Shape:
         """The exact hull of the body's vertices, swept."""
-        coal = peer("coal")
+        coal = import_peer("coal")
         points = np.asarray(body.hull_vertices(), float)
         cloud = coal.StdVec_Vec3s()
         cloud.extend(list(points))
@@ -45,8 +46,17 @@ class Shape:
         return cls(radius, (low + high) / 2, (high - low) / 2 + radius, coal.Convex.convexHull(cloud, False, ""))
 
 
+def polytope(points: Float[np.ndarray, "N 3"]) -> Any:
+    """Coal's convex polytope with these points and the triangles of their hull."""
+    coal = import_peer("coal")
+    vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    vertices.extend(list(points))
+    triangles.extend([coal.Triangle(*map(int, corners)) for corners in ConvexHull(points).simplices])
+    return coal.Convex(vertices, triangles)
+
+
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PosedShapes:
     """Shapes at poses: S shapes, each at one pose, or at one pose in each of N states.
 
     Attributes:
@@ -59,14 +69,14 @@ class Posed:
     rotations: Float[np.ndarray, "*N S 3 3"]
     positions: Float[np.ndarray, "*N S 3"]
 
-    def rows(self, chosen: Bool[np.ndarray, " N"]) -> Posed:
-        """Some of the states."""
-        return Posed(self.shapes, self.rotations[chosen], self.positions[chosen])
+    def rows(self, chosen: Bool[np.ndarray, " N"]) -> PosedShapes:
+        """The chosen states."""
+        return PosedShapes(self.shapes, self.rotations[chosen], self.positions[chosen])
 
 
-def clear(
-    moving: Posed,
-    still: Posed,
+def keeps_margins(
+    moving: PosedShapes,
+    still: PosedShapes,
     margins: Float[np.ndarray, "A B"] | float,
     pairs: Int[np.ndarray, "P 2"] | None = None,
 ) -> Bool[np.ndarray, " N"]:
@@ -117,10 +127,10 @@ def clear(
 
 
 class _Checks:
-    """coal's test of one pair at a time, everything that can be made beforehand being made."""
+    """Coal's test of one pair at a time. Its requests are made in advance."""
 
     def __init__(self, moving: Sequence[Shape], still: Sequence[Shape], pairs: np.ndarray, margins: np.ndarray) -> None:
-        coal = peer("coal")
+        coal = import_peer("coal")
         self.pairs = pairs
         self.transform = coal.Transform3s
         self.result = coal.CollisionResult()
@@ -153,7 +163,7 @@ def _bounds(
     center_b: np.ndarray,
     half_b: np.ndarray,
 ) -> Float[np.ndarray, "N P"]:
-    """Lower bounds of the distances of P pairs of boxes in N states, from the gaps along the axes of either box."""
+    """Lower bounds of the distances of P pairs of boxes in N states, from the gaps along the axes of both boxes."""
     back = np.swapaxes(turn_b, -1, -2)
     relative = back @ turn_a
     apart = (back @ (shift_a + _turned(turn_a, center_a) - shift_b)[..., None])[..., 0] - center_b

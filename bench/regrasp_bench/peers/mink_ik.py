@@ -1,4 +1,4 @@
-"""Peers of IkSolve: mink, and a search from so many starts that what it misses hardly exists."""
+"""Peers of IkSolve: mink, and a search from so many starts that it misses hardly any solution."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from regrasp_bench.peers.coal_checker import ExactChecker
-from regrasp_gym.reports.trials import peer
+from regrasp_bench.peers.optional import import_peer
 from regrasp_gym.simulation.scenario import Scenario
 
 POSITION, ROTATION = 1e-3, 1e-2
-"""Errors (metres, radians) up to which a pose counts as reached."""
+"""Errors (metres, radians) up to which the gripper counts as at its target."""
 _EXACT = 1e-6
 _ITERATIONS = 60
 _LENGTH = 0.3
-"""Metres that weigh as much as a radian in the search."""
+"""Length that weighs as much as a radian in the search, metres."""
 
 
 def pose_errors(
     gripper: Float[np.ndarray, "*N 4 4"], target: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "*N 3"], Float[np.ndarray, "*N 3"]]:
-    """What is missing to the target: translations (metres) and rotation vectors (radians), in world axes."""
+    """Errors from a gripper to its target: translations (metres) and rotation vectors (radians), in world axes."""
     turn = target[:3, :3] @ np.swapaxes(gripper[..., :3, :3], -1, -2)
     vectors = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(turn.shape[:-1])
     return target[:3, 3] - gripper[..., :3, 3], vectors
 
 
-def reaches(checker: ExactChecker, q: Float[np.ndarray, " n"], target: Float[np.ndarray, "4 4"]) -> bool:
-    """Whether the gripper at configuration q is at the target, up to `POSITION` and `ROTATION`."""
+def is_at_target(checker: ExactChecker, q: Float[np.ndarray, " n"], target: Float[np.ndarray, "4 4"]) -> bool:
+    """Whether the gripper is at the target in configuration q, up to `POSITION` and `ROTATION`."""
     missing, turn = pose_errors(checker.frames(q[None])[0, -2], target)
     return bool(np.linalg.norm(missing) <= POSITION and np.linalg.norm(turn) <= ROTATION)
 
@@ -40,29 +40,25 @@ def reaches(checker: ExactChecker, q: Float[np.ndarray, " n"], target: Float[np.
 def exhaustive_search(
     checker: ExactChecker,
     target: Float[np.ndarray, "4 4"],
-    lower: Float[np.ndarray, " n"],
-    upper: Float[np.ndarray, " n"],
     rng: np.random.Generator,
     starts: int = 4096,
 ) -> Float[np.ndarray, " n"] | None:
     """A configuration at the target that keeps all margins, from random starts, or None.
 
-    Damped least squares from each start, joints held within their limits; in NumPy and with coal, so that it shares
-    nothing with IkSolve.
+    Damped least squares from each start, with joints clipped to their limits. It shares nothing with IkSolve.
 
     Args:
-        checker: kinematics and collisions.
+        checker: kinematics, joint limits and collisions.
         target: (4, 4) pose of the gripper in the world.
-        lower, upper: (n,) joint limits, radians.
-        rng: of the starts.
-        starts: how many at most.
+        rng: generator of the starts.
+        starts: largest number of starts.
     """
     batch = 256
     for _ in range(0, starts, batch):
-        q = rng.uniform(lower, upper, (batch, len(lower)))
+        q = rng.uniform(checker.lower, checker.upper, (batch, len(checker.lower)))
         for _ in range(_ITERATIONS):
             step, _ = _step(checker, q, target)
-            q = np.clip(q + step, lower, upper)
+            q = np.clip(q + step, checker.lower, checker.upper)
         reached = q[_step(checker, q, target)[1] < _EXACT]
         if len(reached):
             kept = reached[checker.keeps_margins(reached)]
@@ -74,7 +70,7 @@ def exhaustive_search(
 def _step(
     checker: ExactChecker, q: Float[np.ndarray, "N n"], target: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, " N"]]:
-    """Damped Gauss–Newton steps, and the errors (metres or radians, whichever is larger) before them."""
+    """Damped Gauss–Newton steps, and the errors before them: metres or radians, whichever is larger."""
     frames = checker.frames(q)
     missing, turn = pose_errors(frames[:, -2], target)
     joints = frames[:, 1:-2]
@@ -91,13 +87,13 @@ def _step(
 
 @dataclass(frozen=True)
 class MinkResult:
-    """What mink found.
+    """Outcome of mink.
 
     Attributes:
-        q: (n,) a configuration at the target that is free of collisions, radians; None if there was none.
-        seconds: of everything, collision checks included.
-        starts: starts used.
-        reached: starts that led to the target, in collision or not.
+        q: (n,) a configuration at the target that is free of collisions, radians; None if none was found.
+        seconds: time of everything, collision checks included.
+        starts: number of starts used.
+        reached: number of starts that led to the target, in collision or not.
         first_reached: whether the first start did.
     """
 
@@ -109,17 +105,17 @@ class MinkResult:
 
 
 class MinkPeer:
-    """mink's differential inverse kinematics on the robot alone, one quadratic program per step.
+    """Mink's differential inverse kinematics on the robot alone, one quadratic program per step.
 
     Args:
-        scenario: whose robot.
+        scenario: scenario of the robot.
 
     Raises:
         BenchError: mink is not installed.
     """
 
     def __init__(self, scenario: Scenario):
-        self._mink: Any = peer("mink")
+        self._mink: Any = import_peer("mink")
         model = scenario.robot.build_spec().compile()
         self._configuration = self._mink.Configuration(model)
         self._task = self._mink.FrameTask(
@@ -131,10 +127,10 @@ class MinkPeer:
     def solve(
         self, checker: ExactChecker, target: Float[np.ndarray, "4 4"], starts: Float[np.ndarray, "S n"]
     ) -> MinkResult:
-        """From each start in turn, until a configuration at the target is free of collisions.
+        """Descend from each start in turn, until a configuration at the target is free of collisions.
 
         Args:
-            checker: says which configurations are free.
+            checker: tells which configurations are free.
             target: (4, 4) pose of the gripper in the world.
             starts: (S, n) configurations, radians.
         """

@@ -10,18 +10,18 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_bench.peers.coal_checker import JOINT_STEP, ExactChecker, Path
-from regrasp_gym.reports.trials import peer
+from regrasp_bench.peers.optional import import_peer
 
 
 @dataclass(frozen=True)
 class RrtResult:
-    """What OMPL found.
+    """Outcome of OMPL.
 
     Attributes:
         waypoints: (K, n) corners of the simplified path, radians; None if none was found in time.
-        seconds: of the search alone.
-        simplify_seconds: of OMPL's path simplification after it.
-        checked: configurations whose collisions were checked.
+        seconds: time of the search alone.
+        simplify_seconds: time of OMPL's path simplification after it.
+        checked: number of configurations checked for collisions.
     """
 
     waypoints: Float[np.ndarray, "K n"] | None
@@ -34,40 +34,38 @@ def rrt_connect(
     checker: ExactChecker,
     start: Float[np.ndarray, " n"],
     goal: Float[np.ndarray, " n"],
-    lower: Float[np.ndarray, " n"],
-    upper: Float[np.ndarray, " n"],
     time_limit: float,
 ) -> RrtResult:
-    """Search and simplify; motions are checked every degree of the joint that turns most, many at a time.
+    """Search and simplify. Motions are checked at each degree of the joint that turns most, in batches.
 
     Args:
-        checker: says which configurations are free.
+        checker: tells which configurations are free, and the joint limits.
         start, goal: (n,) free configurations, radians.
-        lower, upper: (n,) joint limits, radians.
-        time_limit: of the search, seconds.
+        time_limit: time limit of the search, seconds.
 
     Raises:
         BenchError: OMPL is not installed.
     """
-    base, geometric = peer("ompl.base"), peer("ompl.geometric")
-    util = peer("ompl.util")
+    base, geometric = import_peer("ompl.base"), import_peer("ompl.geometric")
+    util = import_peer("ompl.util")
     util.setLogLevel(util.LOG_NONE)
     dof = len(start)
     bounds = base.RealVectorBounds(dof)
     for i in range(dof):
-        bounds.setLow(i, float(lower[i]))
-        bounds.setHigh(i, float(upper[i]))
+        bounds.setLow(i, float(checker.lower[i]))
+        bounds.setHigh(i, float(checker.upper[i]))
     space = base.RealVectorStateSpace(dof)
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
     information = setup.getSpaceInformation()
-    # Given its own information, which it never uses: two that hold each other would never be freed.
+    # The validator gets a space information of its own, which it never uses. With the same one, the two would
+    # reference each other and never be freed.
     motions = _motion_validator(base, base.SpaceInformation(space), checker, dof)
     information.setMotionValidator(motions)
     setup.setStateValidityChecker(lambda state: motions.free(_array(state, dof)[None]))
     states = [space.allocState() for _ in range(2)]
     for state, q in zip(states, (start, goal), strict=True):
-        state[0:dof] = [float(angle) for angle in np.clip(q, lower, upper)]
+        state[0:dof] = [float(angle) for angle in np.clip(q, checker.lower, checker.upper)]
     setup.setStartAndGoalStates(*states)
     setup.setPlanner(geometric.RRTConnect(information))
     setup.setup()
@@ -85,7 +83,7 @@ def rrt_connect(
 
 
 def polyline(waypoints: Float[np.ndarray, "K n"]) -> Path:
-    """The path along the corners, by length."""
+    """The path along the corners, by share of its length."""
     chord = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
     at = np.append(0.0, np.cumsum(chord)) / max(chord.sum(), 1e-12)
     return lambda u: np.stack([np.interp(u, at, column) for column in waypoints.T], axis=1)
@@ -97,7 +95,7 @@ def _array(state: Any, dof: int) -> Float[np.ndarray, " n"]:
 
 def _motion_validator(base: Any, information: Any, checker: ExactChecker, dof: int) -> Any:
     class MotionValidator(base.MotionValidator):
-        """Straight motions: the end first, then every eighth configuration, and so on in ever finer batches."""
+        """Checks straight motions: the end first, then every eighth configuration, then ever finer batches."""
 
         def __init__(self) -> None:
             super().__init__(information)

@@ -12,9 +12,9 @@ from regrasp_bench.pictures.studio import (
     IDENTITY,
     Picture,
     Studio,
-    along,
     arrow,
     captioned,
+    pose_along,
     side_by_side,
 )
 from regrasp_gym.objects import OBJECTS
@@ -26,7 +26,7 @@ from regrasp_planner.placement.stab_pose import fibonacci_sphere
 from regrasp_planner.placement.tilted_release import release_cones
 
 STONE = "stone"
-"""Name of a random convex body, for which there is no shipped object."""
+"""Name of a random convex body, which is not a shipped object."""
 
 STARTS = 3000
 _DOT, _ARROW = 0.017, 1.42
@@ -37,13 +37,13 @@ def basins_picture(name: str = STONE, size: int = 440) -> Picture:
     """Three spheres: the object with its stable directions, the starts by basin, and the cones inscribed in them.
 
     Args:
-        name: of a shipped object, or `STONE`.
+        name: name of a shipped object, or `STONE`.
         size: height and width of each of the three, pixels.
     """
     points, center = _stone() if name == STONE else _shipped(name)
     poses = stable_poses(points, center, starts=STARTS)
     cones = release_cones(poses)
-    # The largest basins get the colours that are told apart best.
+    # The largest basins get the most distinguishable colours.
     order = np.argsort(-poses.probability, kind="stable")
     colour = {int(k): COLOURS[i % len(COLOURS)] for i, k in enumerate(order)}
     scale = 0.82 / np.linalg.norm(points - center, axis=1).max()
@@ -69,18 +69,18 @@ def basins_picture(name: str = STONE, size: int = 440) -> Picture:
                 continue
             rgba = colour[k]
             length = _ARROW if panels else max(1.15, scale * poses.height[k] + 0.45)
-            studio.add(arrow(length, 0.022), along(direction, np.zeros(3)), rgba)
+            studio.add(arrow(length, 0.022), pose_along(direction, np.zeros(3)), rgba)
             if panels:
                 pale = rgba if len(panels) == 1 else (*(0.45 * np.array(rgba[:3]) + 0.55), 1.0)
                 studio.add(_dots(poses.starts[poses.basin == k]), IDENTITY, pale)
             if len(panels) == 2 and cones[k].half_angle > 0:
-                studio.add(_cap(cones[k].half_angle), along(direction, np.zeros(3)), (*rgba[:3], 0.75))
+                studio.add(_cap(cones[k].half_angle), pose_along(direction, np.zeros(3)), (*rgba[:3], 0.75))
         panels.append(captioned(studio.picture(camera, size, size), caption))
     return side_by_side(panels, 3)
 
 
 def _camera(directions: Float[np.ndarray, "m 3"], half_angles: Float[np.ndarray, " m"]) -> Camera:
-    """A camera that looks at as much of the cones as there is to be seen at once, not straight along an arrow."""
+    """The camera that sees most of the cones, but not straight along an arrow."""
     views = fibonacci_sphere(400)
     views = views[np.abs(views[:, 2]) < 0.7]
     facing = views @ directions.T

@@ -1,4 +1,4 @@
-"""One regrasp in execution, frame by frame, from an episode in the simulation."""
+"""The execution of one regrasp, frame by frame, from an episode in the simulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 import regrasp_gym
-from regrasp_bench.pictures.studio import SHADOW_SIZE, Picture, captioned, reduced, side_by_side
+from regrasp_bench.pictures.studio import SHADOW_SIZE, Picture, captioned, resized, side_by_side
 from regrasp_gym.envs.base import EnvState, RegraspEnv
 from regrasp_gym.errors import EnvError
 from regrasp_gym.expert.expert import PlannerExpert
@@ -20,15 +20,15 @@ from regrasp_gym.rendering.setting import Camera
 from regrasp_planner import SegmentKind
 
 TILTED = np.deg2rad(10)
-"""A release by more than this off the pose that the target settles into is worth a picture."""
+"""A release is worth a picture if it differs by more than this from the settled pose, radians."""
 
 _NEAR = 0.45
-"""Distance from which the target is seen in the corner, metres."""
+"""Distance of the close-up's camera from the target, metres."""
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A moment of an episode: its state, and the stage and segment that it belongs to."""
+    """A moment of an episode: its state, stage and segment."""
 
     state: EnvState
     stage: int
@@ -42,13 +42,13 @@ def execution_picture(
     height: int = 300,
     width: int = 360,
 ) -> Picture:
-    """Eight moments of an episode with a regrasp: taken, let go, settled, taken again, placed. All of it is physics.
+    """Eight moments of an episode with a regrasp, from the first grasp to the placement, all simulated.
 
     Args:
         env_id: id of the environment.
-        seed: of the scene; by default the first one in which the target is let go tilted and everything succeeds.
-        camera: of the environment's model.
-        height, width: of one moment, pixels.
+        seed: seed of the scene; by default the first in which the target is released tilted and everything succeeds.
+        camera: camera of the environment's model.
+        height, width: size of one moment, pixels.
 
     Raises:
         EnvError: there is no successful episode with a regrasp.
@@ -103,7 +103,7 @@ def _strip(expert: PlannerExpert, steps: list[_Step], camera: str, height: int, 
 
 
 def _pictures(env: RegraspEnv, steps: list[_Step], camera: str, height: int, width: int) -> list[Picture]:
-    """With finer shadows than the environment draws, and with the target seen from near by in a corner."""
+    """Pictures with finer shadows than the environment's, and a close-up of the target in a corner."""
     model = env.world.model
     model.vis.quality.shadowsize, model.vis.quality.offsamples = SHADOW_SIZE, 8
     renderer = SceneRenderer(2 * width, 2 * height)
@@ -112,7 +112,7 @@ def _pictures(env: RegraspEnv, steps: list[_Step], camera: str, height: int, wid
     for step in steps:
         env.set_state(step.state)
         large = renderer.render(model, env.world.data, camera, 2 * width, 2 * height, show_goal=True)
-        picture = reduced(large, height, width).copy()
+        picture = resized(large, height, width).copy()
         picture[-near - 4 :, -near - 4 :] = 255
         picture[-near:, -near:] = _close_up(env, renderer, camera, step, near)
         made.append(picture)
@@ -121,12 +121,12 @@ def _pictures(env: RegraspEnv, steps: list[_Step], camera: str, height: int, wid
 
 
 def _close_up(env: RegraspEnv, renderer: SceneRenderer, camera: str, step: _Step, size: int) -> Picture:
-    """The target from that side, of some, from which most of it is seen."""
+    """The target from the side, of several, from which most of it is seen."""
     world, index = env.world, env.world.model.camera(camera).id
     model = world.model
     kept = model.cam_pos[index].copy(), model.cam_quat[index].copy(), float(model.cam_fovy[index])
     middle = world.target_pose[4:].copy()
-    reach = 0.5 * float(np.linalg.norm(env.scene.target.model.size))
+    radius = 0.5 * float(np.linalg.norm(env.scene.target.model.size))
     views = [_from(middle, turn, 0.6) for turn in np.deg2rad([-100, -75, -50, -25, 0, 25, -125, -150])]
 
     def look(view: Camera, pixels: int) -> Picture:
@@ -134,7 +134,7 @@ def _close_up(env: RegraspEnv, renderer: SceneRenderer, camera: str, step: _Step
         frame = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
         model.cam_pos[index] = view.position
         mujoco.mju_mat2Quat(model.cam_quat[index], frame.ravel())
-        model.cam_fovy[index] = np.rad2deg(2 * np.arctan(1.5 * (reach + 0.03) / _NEAR))
+        model.cam_fovy[index] = np.rad2deg(2 * np.arctan(1.5 * (radius + 0.03) / _NEAR))
         mujoco.mj_camlight(model, world.data)
         return renderer.render(model, world.data, camera, pixels, pixels, show_goal=False)
 
@@ -142,7 +142,7 @@ def _close_up(env: RegraspEnv, renderer: SceneRenderer, camera: str, step: _Step
     world.set_object_pose(env.scene.target.name, np.array([1.0, 0, 0, 0, 0, 0, -5.0]))
     seen = [np.abs(look(view, 64) - shown).sum() for view, shown in zip(views, with_target, strict=True)]
     env.set_state(step.state)
-    picture = reduced(look(views[int(np.argmax(seen))], 2 * size), size, size)
+    picture = resized(look(views[int(np.argmax(seen))], 2 * size), size, size)
     model.cam_pos[index], model.cam_quat[index], model.cam_fovy[index] = kept
     return picture
 

@@ -1,4 +1,4 @@
-"""Stable poses of several objects on the ground, with the cones in which they may be let go (the paper's Fig. 10)."""
+"""Stable poses of several objects on the ground, with their release cones (the paper's Fig. 10)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ from PIL import Image
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from regrasp_bench.pictures.studio import COLOURS, Picture, Studio, along, arrow, cone, to_pixels, trimmed, write
+from regrasp_bench.pictures.studio import (
+    COLOURS,
+    Picture,
+    Studio,
+    arrow,
+    cone,
+    cropped,
+    pose_along,
+    to_pixels,
+    write_text,
+)
 from regrasp_gym.objects import OBJECTS, ObjectModel
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import faceted
@@ -28,7 +38,7 @@ SHOWN = (
 """Objects of various shapes and sizes, one of them hollow."""
 
 ALIKE = 2e-3
-"""Poses in which the centre of mass is as high and as far from the rim, to this many metres, are taken for alike."""
+"""Poses count as alike if the centre of mass is equally high and equally far from the rim, to this many metres."""
 
 _ACROSS, _DEEP = 0.27, 0.33
 
@@ -36,13 +46,13 @@ _ACROSS, _DEEP = 0.27, 0.33
 def poses_picture(names: Sequence[str] = SHOWN, rows: int = 3, height: int = 760, width: int = 1400) -> Picture:
     """One column for each object, in its most likely stable poses, the likeliest in front.
 
-    The arrow is the normal of the ground, from the centre of mass. Turn the object so that another direction of the
-    cone points up, let it go, and it settles into the pose that is shown. Percentages are landing probabilities, those
-    of sides that are alike taken together. Hollow objects stand on their convex hull, drawn in blue.
+    The arrow is the normal of the ground, from the centre of mass. Released with another direction of the cone upwards,
+    the object settles into the pose shown. Percentages are landing probabilities, summed over sides that are alike.
+    Hollow objects stand on their convex hull, drawn in blue.
 
     Args:
-        names: of shipped objects.
-        rows: most poses of each.
+        names: names of shipped objects.
+        rows: largest number of poses of each.
         height, width: pixels.
     """
     depth, breadth = _DEEP * (rows - 1), _ACROSS * (len(names) - 1)
@@ -59,8 +69,8 @@ def poses_picture(names: Sequence[str] = SHOWN, rows: int = 3, height: int = 760
     image = Image.fromarray(studio.picture(camera, height, width))
     pixels = to_pixels(camera, np.array([at for at, _ in labels]), height, width)
     for at, (_, words) in zip(pixels, labels, strict=True):
-        write(image, (at[0], at[1]), words, 16, "ma")
-    return trimmed(np.asarray(image))
+        write_text(image, (at[0], at[1]), words, 16, "ma")
+    return cropped(np.asarray(image))
 
 
 def _likeliest(model: ObjectModel, count: int) -> list[tuple[np.ndarray, float, float]]:
@@ -83,9 +93,9 @@ def _likeliest(model: ObjectModel, count: int) -> list[tuple[np.ndarray, float, 
 def _place(
     studio: Studio, model: ObjectModel, rotation: np.ndarray, half_angle: float, at: np.ndarray, colour: int
 ) -> float:
-    """Returns how near to the camera the object comes, metres along y."""
+    """Add an object; returns its least y, towards the camera, metres."""
     points = np.concatenate(model.pieces) @ rotation.T
-    # The longest side across the line of sight, so that each is seen from its broad side.
+    # Each object shows its broad side: the longest side is across the line of sight.
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     axis = np.linalg.svd(flat, full_matrices=False)[2][0]
     turn = Rotation.from_euler("z", np.deg2rad(18) - np.arctan2(axis[1], axis[0])) * Rotation.from_matrix(rotation)
@@ -102,7 +112,7 @@ def _place(
     up = np.array([0.0, 0.0, 1.0])
     red, green, blue, _ = COLOURS[colour]
     length = float(points[:, 2].max()) + 0.06
-    studio.add(arrow(length, 0.0032), along(up, center), (red, green, blue, 1.0))
+    studio.add(arrow(length, 0.0032), pose_along(up, center), (red, green, blue, 1.0))
     if half_angle > 0:
-        studio.add(cone(half_angle, length - 0.02), along(up, center), (red, green, blue, 0.35))
+        studio.add(cone(half_angle, length - 0.02), pose_along(up, center), (red, green, blue, 0.35))
     return float(points[:, 1].min() + center[1])

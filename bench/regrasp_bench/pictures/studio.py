@@ -1,4 +1,4 @@
-"""A white room to photograph surfaces in: light, ground, camera, captions, and pictures side by side."""
+"""A white studio to picture surfaces in: light, ground, camera, captions, and pictures side by side."""
 
 from __future__ import annotations
 
@@ -21,52 +21,36 @@ Picture = UInt8[np.ndarray, "H W 3"]
 
 IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])
 
-COLOURS: tuple[Rgba, ...] = (
-    (0.00, 0.45, 0.70, 1.0),
-    (0.90, 0.45, 0.05, 1.0),
-    (0.00, 0.62, 0.45, 1.0),
-    (0.80, 0.25, 0.45, 1.0),
-    (0.93, 0.75, 0.15, 1.0),
-    (0.45, 0.30, 0.65, 1.0),
-    (0.55, 0.35, 0.20, 1.0),
-    (0.45, 0.75, 0.20, 1.0),
-    (0.30, 0.75, 0.90, 1.0),
-    (0.90, 0.60, 0.75, 1.0),
-    (0.30, 0.35, 0.40, 1.0),
-    (0.75, 0.10, 0.10, 1.0),
+_PERCENT = "0 45 70 90 45 5 0 62 45 80 25 45 93 75 15 45 30 65 55 35 20 45 75 20 30 75 90 90 60 75 30 35 40 75 10 10"
+COLOURS: tuple[Rgba, ...] = tuple(
+    (red / 100, green / 100, blue / 100, 1.0) for red, green, blue in np.reshape(_PERCENT.split(), (-1, 3)).astype(int)
 )
-"""Told apart by people who see few colours, as far as a dozen can be."""
+"""A dozen colours, as distinguishable as possible for colour-blind people."""
 
 SHADOW_SIZE = 4096
-"""Edge of the shadow map in pixels: nobody waits for these pictures."""
+"""Edge of the shadow map, pixels. Large, because these pictures may take long."""
 
 _SHARPER = 2
-"""Pictures are drawn this much larger and reduced."""
+"""Pictures are rendered this many times larger and then reduced."""
 
 
 class Studio:
     """Surfaces at poses, on a white ground or in a white void.
 
     Args:
-        ground: height of the ground, metres; None for none.
-        size: of what is photographed, metres; sets where the light stands and how soft it falls.
+        ground: height of the ground, metres; None for no ground.
+        size: size of the pictured objects, metres; it sets the light's position and softness.
     """
 
     def __init__(self, ground: float | None = 0.0, size: float = 0.5) -> None:
         self.spec = mujoco.MjSpec()
         self._count = 0
         self._void = ground is None
-        visual = self.spec.visual
-        visual.headlight.ambient = [0.45, 0.45, 0.45]
-        visual.headlight.diffuse = [0.25, 0.25, 0.25]
-        visual.headlight.specular = [0.05, 0.05, 0.05]
-        visual.quality.shadowsize = SHADOW_SIZE
-        visual.quality.offsamples = 8
-        self.spec.stat.extent = size
-        self.spec.stat.center = [0.0, 0.0, 0.0]
-        visual.map.znear = 0.01
-        visual.map.zfar = 60.0
-        visual.map.shadowclip = 2.0
+        headlight, depth = self.spec.visual.headlight, self.spec.visual.map
+        headlight.ambient, headlight.diffuse, headlight.specular = ([grey] * 3 for grey in (0.45, 0.25, 0.05))
+        depth.znear, depth.zfar, depth.shadowclip = 0.01, 60.0, 2.0
+        self.spec.visual.quality.shadowsize, self.spec.visual.quality.offsamples = SHADOW_SIZE, 8
+        self.spec.stat.extent, self.spec.stat.center = size, [0.0, 0.0, 0.0]
         self.spec.add_texture(
             name="sky",
             type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -97,7 +81,7 @@ class Studio:
             )
 
     def add(self, look: Look, pose: Pose = IDENTITY, rgba: Rgba | None = None) -> None:
-        """Put a surface at a pose, in another colour if one is given."""
+        """Put a surface at a pose, in its own colour or in ``rgba``."""
         if rgba is not None:
             look = replace(look, texture=None, texcoords=None).painted(rgba)
         name = f"look{self._count}"
@@ -106,7 +90,7 @@ class Studio:
         add_look(self.spec, body, name, look)
 
     def add_object(self, model: ObjectModel, pose: Pose = IDENTITY, rgba: Rgba | None = None) -> None:
-        """Put an object at a pose, in its own colours, or all of it in one that may be translucent."""
+        """Put an object at a pose, in its own colours or all in ``rgba``, which may be translucent."""
         for look in model.looks:
             self.add(look, pose, rgba)
 
@@ -115,7 +99,7 @@ class Studio:
         for old in list(self.spec.worldbody.cameras):
             self.spec.delete(old)
         if self._void:
-            # Over the left shoulder of whoever looks.
+            # From behind the camera's left shoulder.
             axes = camera.axes()
             toward = np.subtract(camera.target, camera.position)
             lamp = self.spec.worldbody.lights[0]
@@ -127,20 +111,20 @@ class Studio:
         mujoco.mj_camlight(model, data)
         renderer = SceneRenderer(_SHARPER * width, _SHARPER * height)
         try:
-            return reduced(
+            return resized(
                 renderer.render(model, data, camera.name, _SHARPER * width, _SHARPER * height), height, width
             )
         finally:
             renderer.close()
 
 
-def reduced(picture: Picture, height: int, width: int) -> Picture:
+def resized(picture: Picture, height: int, width: int) -> Picture:
     """The picture in another size, with smooth edges."""
     return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def to_pixels(camera: Camera, points: Float[np.ndarray, "N 3"], height: int, width: int) -> Float[np.ndarray, "N 2"]:
-    """Where the camera sees points of the world, (column, row)."""
+    """Pixels (column, row) at which the camera sees points of the world."""
     right, up = camera.axes()[:3], camera.axes()[3:]
     rays = np.asarray(points, float) - np.asarray(camera.position)
     depth = rays @ np.cross(up, right)
@@ -156,13 +140,13 @@ def arrow(length: float, radius: float) -> Look:
 
 
 def cone(half_angle: float, length: float) -> Look:
-    """The cone of directions within ``half_angle`` radians of z, from the origin, closed by a piece of a sphere."""
+    """The cone of directions within ``half_angle`` radians of z, from the origin, with a spherical cap."""
     rim = np.linspace(half_angle, 0.0, 12)
     profile = [(0.0, 0.0), *((length * np.sin(a), length * np.cos(a)) for a in rim)]
     return revolve(profile, 48, smooth=False)
 
 
-def along(direction: Float[np.ndarray, " 3"], origin: Float[np.ndarray, " 3"]) -> Pose:
+def pose_along(direction: Float[np.ndarray, " 3"], origin: Float[np.ndarray, " 3"]) -> Pose:
     """A pose at ``origin`` whose z axis is the unit ``direction``."""
     x, y, z = direction
     if z < -1 + 1e-9:
@@ -172,16 +156,16 @@ def along(direction: Float[np.ndarray, " 3"], origin: Float[np.ndarray, " 3"]) -
 
 
 def captioned(picture: Picture, caption: str, size: int = 18) -> Picture:
-    """The picture with words under it."""
+    """The picture with a caption below."""
     height, width = picture.shape[:2]
     image = Image.new("RGB", (width, height + 2 * size), (255, 255, 255))
     image.paste(Image.fromarray(picture))
-    write(image, (width / 2, height + 0.9 * size), caption, size, "mm")
+    write_text(image, (width / 2, height + 0.9 * size), caption, size, "mm")
     return np.asarray(image)
 
 
-def write(image: Image.Image, at: tuple[float, float], words: str, size: int, anchor: str = "la") -> None:
-    """Words on a picture, dark, with a pale rim so that they can be read on anything."""
+def write_text(image: Image.Image, at: tuple[float, float], words: str, size: int, anchor: str = "la") -> None:
+    """Write dark text on a picture, with a white outline so that it can be read on any background."""
     ImageDraw.Draw(image).text(
         at,
         words,
@@ -194,15 +178,15 @@ def write(image: Image.Image, at: tuple[float, float], words: str, size: int, an
     )
 
 
-def trimmed(picture: Picture, margin: int = 16) -> Picture:
-    """The picture without the white around it, but for a margin in pixels."""
+def cropped(picture: Picture, margin: int = 16) -> Picture:
+    """The picture without the white around it, except for a margin in pixels."""
     rows, columns = (np.flatnonzero((picture < 240).any(axis=(axis, 2))) for axis in (1, 0))
     top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
     return picture[top : rows[-1] + margin + 1, left : columns[-1] + margin + 1]
 
 
 def side_by_side(pictures: Sequence[Picture], columns: int, gap: int = 6) -> Picture:
-    """Pictures of one size in rows, on white."""
+    """Pictures of equal size in rows, on white."""
     height, width = pictures[0].shape[:2]
     rows = -(-len(pictures) // columns)
     sheet = np.full((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
@@ -213,7 +197,7 @@ def side_by_side(pictures: Sequence[Picture], columns: int, gap: int = 6) -> Pic
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Write an image file, small enough for a repository: JPEG for photographs, PNG in 256 colours for drawings."""
+    """Write an image file small enough for a repository: JPEG for photographs, PNG with 256 colours for drawings."""
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray(picture)
     if path.suffix == ".png":

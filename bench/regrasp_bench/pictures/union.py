@@ -30,10 +30,10 @@ _SUPPORT_ALPHA = 0.22
 _GRIPPERS: tuple[Rgba, ...] = ((0.2, 0.62, 0.25, 1.0), (0.25, 0.45, 0.8, 0.4), (0.9, 0.5, 0.1, 0.4))
 
 DISTINCT = 0.8
-"""Grasps are shown that differ by this many radians, or tenths of a metre, or both together."""
+"""Shown grasps differ by at least this: radians plus tenths of a metre."""
 
 _AROUND = 0.24
-"""Radius of what is shown about the target, metres."""
+"""Radius about the target of what is shown, metres."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ def union_picture(
 
     Args:
         env_id: id of the environment.
-        seed: of the scene; by default the first one in which one grasp suffices although the target lies on its side
+        seed: seed of the scene; by default the first in which one grasp suffices although the target lies on its side
             and has neighbours in both places.
-        grippers: most grasps shown, those that differ most.
+        grippers: largest number of grasps shown; those that differ most.
         size: height and width of each of the three pictures, pixels.
 
     Raises:
@@ -81,7 +81,7 @@ def union_picture(
 
 
 def _instructive(scene: GymScene) -> bool:
-    """Whether the target has to be turned over, with something beside it at either place."""
+    """Whether the target has to be turned over and has neighbours in both places."""
     places = (scene.target.pose, scene.goal_pose)
     up = [Rotation.from_quat(pose[:4], scalar_first=True).inv().apply([0, 0, 1]) for pose in places]
     beside = [
@@ -92,7 +92,7 @@ def _instructive(scene: GymScene) -> bool:
 
 def _draw(scene: GymScene, robot: RobotSetup, grasps: Sequence[Grasp], size: int) -> Picture:
     start, goal = scene.target.pose, scene.goal_pose
-    # The target's frame, but for its rotation: the target is shown as it lies in the pick scene.
+    # The target's frame, with the orientation that it has in the pick scene.
     upright = np.concatenate([start[:4], np.zeros(3)])
     pick = _Part(PICK, wxyz_xyz(rigid(upright) * rigid(start).inv()), start[4:])
     place = _Part(PLACE, wxyz_xyz(rigid(upright) * rigid(goal).inv()), goal[4:])
@@ -130,7 +130,7 @@ def _studio(
 
 
 def _clearest(scene: GymScene, robot: RobotSetup, parts: Sequence[_Part], at: Pose, grasps: Sequence[Grasp]) -> Camera:
-    """The camera, of some around, that sees most of the target."""
+    """The camera, of several around, that sees most of the target."""
     full, bare = (_studio(scene, robot, parts, at, grasps, without) for without in (False, True))
 
     def seen(camera: Camera) -> float:
@@ -182,7 +182,7 @@ def _shaded(look: Look, rgba: Rgba) -> Rgba:
 
 
 def _cut(fixture: Fixture, center: Float[np.ndarray, " 3"]) -> Look | None:
-    """What of a box lies in an upright cylinder about ``center``, in the world; None if nothing does."""
+    """Part of a box in an upright cylinder about ``center``, in the world; None if it is empty."""
     turn = Rotation.from_quat(fixture.pose[:4], scalar_first=True).as_matrix()
     offset = fixture.pose[4:] - center
     normals = np.concatenate([turn.T, -turn.T])
@@ -198,7 +198,7 @@ def _cut(fixture: Fixture, center: Float[np.ndarray, " 3"]) -> Look | None:
 
 
 def _inner_point(halfspaces: Float[np.ndarray, "H 4"]) -> Float[np.ndarray, " 3"] | None:
-    """The point deepest inside of n·x + b ≤ 0, or None if it is not deeper than a millimetre."""
+    """The deepest point inside n·x + b ≤ 0, or None if it is less than a millimetre deep."""
     from scipy.optimize import linprog
 
     system = np.column_stack([halfspaces[:, :3], np.ones(len(halfspaces))])
@@ -207,7 +207,7 @@ def _inner_point(halfspaces: Float[np.ndarray, "H 4"]) -> Float[np.ndarray, " 3"
 
 
 def _apart(grasps: Sequence[Grasp]) -> tuple[Grasp, ...]:
-    """The best grasp, then again and again the one that differs most from those before."""
+    """The best grasp, then repeatedly the one that differs most from those before."""
     left = list(grasps)
     chosen = left[:1]
     del left[:1]

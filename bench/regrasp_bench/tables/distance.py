@@ -1,25 +1,28 @@
-"""Signed distances beside coal: how far off they are, and what they take, with and without gradients."""
+"""Signed distances beside coal's: their errors, and their times with and without gradients."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tyro
 from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from regrasp_gym.reports.plots import OURS, OURS_TOO, PEER, bars, check_format, draw, shares
-from regrasp_gym.reports.trials import Record, crashes, peer, run_trials, write_report
+from regrasp_bench.options import PlotOptions
+from regrasp_bench.peers.coal_shapes import polytope
+from regrasp_bench.peers.optional import import_peer
+from regrasp_bench.tables.benchmark import Presentation, run_benchmark
+from regrasp_bench.tables.summary import NOTHING, completed
+from regrasp_bench.tables.timing import mean_seconds
+from regrasp_gym.reports.plots import OURS, OURS_LIGHT, PEER, bars, cumulative_shares
+from regrasp_gym.reports.report import Record, package_versions
+from regrasp_gym.reports.trials import crashes, print_crashes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,10 +30,11 @@ if TYPE_CHECKING:
     from regrasp_planner import ConvexBody
 
 DSF, CERTIFIED, THINNED = "distance", "certified", "thinned to 64"
-"""What is compared with coal for accuracy; bodies of more than 64 vertices are thinned unless asked otherwise."""
+"""What is compared with coal for accuracy. By default, bodies of more than 64 vertices are thinned."""
 GRADIENT, QUICK, ALONE, COAL = "with gradients", "from one start", "one pair a call", "coal, one pair a call"
-"""What is timed besides: both bodies' pose gradients too; overlaps without further starts; not in a batch."""
-_PACKAGES = ("regrasp-gym", "jax", "jaxlib", "numpy", "scipy", "coal")
+"""What else is timed: with gradients by both poses; overlaps from one start only; not in a batch."""
+_FEW = 50
+"""Pairs that are timed one pair a call."""
 
 
 @dataclass(frozen=True)
@@ -48,42 +52,36 @@ class Pairs:
     poses_b: Float[np.ndarray, "N 7"]
 
 
-def distance(
-    vertices: tuple[int, ...] = (20, 60, 200),
-    pairs: int = 1000,
-    rounds: int = 7,
-    records: Path = Path("outputs/bench/distance.jsonl"),
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-    plot_file: Annotated[Path | None, tyro.conf.arg(name="plot")] = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class DistanceOptions(PlotOptions):
     """Compare signed distances of random hulls, apart and overlapping, with coal's, which are exact.
 
-    A batch of all pairs is timed, coal pair by pair, turn by turn in one process, after everything is compiled.
-
-    Args:
-        vertices: of each hull, one table row each.
-        pairs: random pairs of hulls of 2 to 8 cm.
-        rounds: timed turns of each.
-        records: one JSON line per number of vertices, appended as they end.
-        json_file: write the summary as JSON.
-        plot_file: draw errors and times (.svg, .png or .pdf).
+    All pairs are timed as one batch, and coal pair by pair, in turn in one process, after everything is compiled.
     """
-    check_format(plot_file)
-    setting: Record = {"pairs": pairs, "rounds": rounds}
-    setting["versions"] = {name: version(name) for name in ("regrasp-gym", "jax", "coal")}
-    ended = run_trials(setting, vertices, _prepare, workers=1, records=records, label="numbers of vertices")
-    report = summarise(setting, ended)
-    _show(report)
-    write_report(json_file, report, _PACKAGES)
-    draw(plot_file, partial(_paint, ended), panels=2)
+
+    vertices: tuple[int, ...] = (20, 60, 200)
+    """Vertices of each hull; one table row per number."""
+    pairs: int = 1000
+    """Random pairs of hulls of 2 to 8 cm."""
+    rounds: int = 7
+    """Timed rounds."""
+    workers: tyro.conf.Suppress[tyro.conf.Fixed[int]] = 1
+    records: Path = Path("outputs/bench/distance.jsonl")
+
+
+def distance(options: DistanceOptions) -> int:
+    """Run the benchmark; returns the exit code."""
+    setting = options.values("pairs", "rounds")
+    setting["versions"] = package_versions(("regrasp-gym", "jax", "coal"))
+    presentation = Presentation(_show, _paint, 2, ("regrasp-gym", "jax", "jaxlib", "numpy", "scipy", "coal"))
+    label = "numbers of vertices"
+    return run_benchmark(options, setting, options.vertices, _prepare, summarise, presentation, label)
 
 
 def summarise(setting: Record, ended: Sequence[Record]) -> Record:
     """Errors of pairs that are apart and of pairs that overlap, and times per pair, by number of vertices."""
     rows: Record = {}
-    for record in ended:
-        if "crashed" in record:
-            continue
+    for record in completed(ended):
         exact = np.array(record["exact"])
         row: Record = {"apart": {"pairs": int((exact > 0).sum())}, "overlapping": {"pairs": int((exact <= 0).sum())}}
         for group, chosen in (("apart", exact > 0), ("overlapping", exact <= 0)):
@@ -98,7 +96,7 @@ def summarise(setting: Record, ended: Sequence[Record]) -> Record:
 
 
 def _errors(short: Float[np.ndarray, " N"]) -> Record:
-    """Of how much the distances found fall short of the exact ones, metres."""
+    """Statistics of how far distances fall short of the exact ones, metres."""
     return {
         "largest_excess": float(max(-short.min(), 0.0)) if len(short) else 0.0,
         "short_mean": float(short.mean()) if len(short) else 0.0,
@@ -116,7 +114,7 @@ def _quantile(values: Float[np.ndarray, " N"], share: float) -> float:
 
 
 def _prepare(setting: Record) -> Callable[[int], Record]:
-    peer("coal")
+    import_peer("coal")
 
     def run(vertices: int) -> Record:
         return compare(random_pairs(setting["pairs"], vertices), setting["rounds"])
@@ -142,7 +140,7 @@ def random_pairs(count: int, vertices: int, seed: int = 0) -> Pairs:
 
 
 def compare(pairs: Pairs, rounds: int) -> Record:
-    """Exact distances, what is found instead, angles between normals (degrees), and seconds per pair of each round."""
+    """Exact distances, those found, angles between normals (degrees), and seconds per pair of each round."""
     import jax
 
     from regrasp_planner import ConvexBody, certified_distance, separation
@@ -150,7 +148,7 @@ def compare(pairs: Pairs, rounds: int) -> Record:
     count, vertices = pairs.vertices_a.shape[:2]
 
     def batch(hulls: Float[np.ndarray, "N V 3"], most: int) -> ConvexBody:
-        # JAX arrays: to hand them over at every call would be part of the time.
+        # On the device, so that copying is not timed.
         stacked = ConvexBody.stack([ConvexBody.from_vertices(points, max_vertices=most) for points in hulls])
         return jax.device_put(stacked)
 
@@ -172,9 +170,8 @@ def compare(pairs: Pairs, rounds: int) -> Record:
     for turn in range(rounds):
         names = list(calls)
         for name in names if turn % 2 == 0 else reversed(names):
-            began = time.perf_counter()
-            jax.block_until_ready(calls[name]())
-            seconds[name].append((time.perf_counter() - began) / (_FEW if name == ALONE else count))
+            elapsed = mean_seconds(lambda name=name: jax.block_until_ready(calls[name]()))
+            seconds[name].append(elapsed / (_FEW if name == ALONE else count))
     return {
         "exact": exact,
         "found": {name: np.asarray(values) for name, values in found.items()},
@@ -183,12 +180,8 @@ def compare(pairs: Pairs, rounds: int) -> Record:
     }
 
 
-_FEW = 50
-"""Pairs in the row that is timed one pair a call."""
-
-
 def _calls(bodies: tuple[ConvexBody, ConvexBody], poses: tuple[Any, Any]) -> dict[str, Callable[[], Any]]:
-    """What is timed of ours, each with all pairs but the last."""
+    """What is timed of ours. All but the last take all pairs at once."""
     import jax
     import jaxlie
 
@@ -212,40 +205,29 @@ def _calls(bodies: tuple[ConvexBody, ConvexBody], poses: tuple[Any, Any]) -> dic
 
 def _coal(pairs: Pairs) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"], Callable[[], None]]:
     """Exact signed distances, normals from the first body to the second, and what is timed."""
-    coal: Any = peer("coal")
-
-    def shape(points: Float[np.ndarray, "V 3"]) -> Any:
-        corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-        corners.extend(list(points))
-        triangles.extend([coal.Triangle(*map(int, corner)) for corner in ConvexHull(points).simplices])
-        return coal.Convex(corners, triangles)
+    coal: Any = import_peer("coal")
 
     def placed(pose: Float[np.ndarray, " 7"]) -> Any:
         return coal.Transform3s(Rotation.from_quat(pose[:4], scalar_first=True).as_matrix(), pose[4:])
 
-    # The shapes have to stay alive as long as what measures them.
-    shapes = [(shape(a), shape(b)) for a, b in zip(pairs.vertices_a, pairs.vertices_b, strict=True)]
+    shapes = [(polytope(a), polytope(b)) for a, b in zip(pairs.vertices_a, pairs.vertices_b, strict=True)]
     poses = [(placed(a), placed(b)) for a, b in zip(pairs.poses_a, pairs.poses_b, strict=True)]
-    jobs = [(coal.ComputeDistance(*both), *at) for both, at in zip(shapes, poses, strict=True)]
+    # With the shapes, which coal does not keep alive.
+    jobs = [(coal.ComputeDistance(*both), *at, both) for both, at in zip(shapes, poses, strict=True)]
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.enable_signed_distance = True
 
-    def run(keep: list[tuple[float, np.ndarray]] | None = None) -> None:
-        for measure, first, second in jobs:
+    def run(found: list[tuple[float, np.ndarray]] | None = None) -> None:
+        for measure, first, second, _ in jobs:
             result.clear()
             value = measure(first, second, request, result)
-            if keep is not None:
-                keep.append((value, np.array(result.normal)))
+            if found is not None:
+                found.append((value, np.array(result.normal)))
 
-    kept: list[tuple[float, np.ndarray]] = []
-    run(kept)
-    values, normals = zip(*kept, strict=True)
-    held = partial(_with, shapes, run)
-    return np.array(values), np.array(normals), held
-
-
-def _with(alive: Any, call: Callable[[], None]) -> None:
-    call()
+    found: list[tuple[float, np.ndarray]] = []
+    run(found)
+    values, normals = zip(*found, strict=True)
+    return np.array(values), np.array(normals), run
 
 
 # --- what is shown ----------------------------------------------------------------------------------------------------
@@ -269,7 +251,7 @@ def _show(report: Record) -> None:
     table = Table("µs per pair", *report["vertices"], title=f"median of {report['rounds']} turns")
     for name in names:
         times = (row["seconds_per_pair"].get(name) for row in report["vertices"].values())
-        table.add_row(name, *("–" if seconds is None else f"{1e6 * seconds:.2f}" for seconds in times))
+        table.add_row(name, *(NOTHING if seconds is None else f"{1e6 * seconds:.2f}" for seconds in times))
     console.print(table)
     for vertices, row in report["vertices"].items():
         angles = row["normal_degrees"]
@@ -278,24 +260,23 @@ def _show(report: Record) -> None:
             f"{angles['p99']:.2f}°",
             highlight=False,
         )
-    for error, trials in report["crashed"].items():
-        console.print(f"crashed: {error}, vertices {trials}", style="red", markup=False, highlight=False)
+    print_crashes(report["crashed"], "vertices")
 
 
-def _paint(ended: Sequence[Record], errors: Axes, times: Axes) -> None:
-    whole = [record for record in ended if "crashed" not in record]
+def _paint(_: Record, ended: Sequence[Record], errors: Axes, times: Axes) -> None:
+    whole = completed(ended)
     series: dict[str, Float[np.ndarray, " N"]] = {}
     for record in whole:
         exact = np.array(record["exact"])
         short = exact - np.array(record["found"][DSF])
         for group, chosen in (("apart", exact > 0), ("overlapping", exact <= 0)):
-            # Less than a tenth of a micrometre counts as that, for the logarithm.
+            # The axis is logarithmic; errors below 0.1 µm are drawn as that.
             series[f"{record['trial']} vertices, {group}"] = 1e3 * np.maximum(short[chosen], 1e-7)
-    shares(errors, series, "distance short of the exact one, mm")
+    cumulative_shares(errors, series, "distance short of the exact one, mm")
     errors.set_title("signed distance of the DSF, p = 512")
     shown = {
         name: [1e6 * float(np.median(record["seconds"][name])) for record in whole] for name in (DSF, GRADIENT, COAL)
     }
-    bars(times, [f"{record['trial']} vertices" for record in whole], shown, (OURS, OURS_TOO, PEER))
+    bars(times, [f"{record['trial']} vertices" for record in whole], shown, (OURS, OURS_LIGHT, PEER))
     times.set_ylabel("µs per pair")
     times.set_title("time, batched; coal pair by pair, without gradients")

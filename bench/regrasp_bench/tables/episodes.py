@@ -1,69 +1,68 @@
-"""How many scenes the expert plans, how many of those plans hold in the simulation, and why the others do not."""
+"""How many scenes the expert plans, how many of its plans hold in the simulation, and why the others fail."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 import regrasp_gym
-from regrasp_gym.reports.trials import Record, crashes, run_trials, write_report
+from regrasp_bench.options import BenchOptions
+from regrasp_bench.tables.benchmark import Presentation, run_benchmark
+from regrasp_bench.tables.summary import NOTHING, causes, completed, median_and_p90, seed_range
+from regrasp_gym.reports.report import Record
+from regrasp_gym.reports.trials import crashes
 
 if TYPE_CHECKING:
     from regrasp_gym.expert.expert import PlannerExpert
     from regrasp_planner import Phase
 
 
-def episodes(
-    env: str = "regrasp_gym/PandaYCB-v0",
-    strategy: str = "repeated",
-    first_seed: int = 0,
-    count: int = 100,
-    control_mode: str = "joint_pos",
-    workers: int = 1,
-    records: Path = Path("outputs/bench/episodes.jsonl"),
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-) -> None:
-    """Plan and execute one episode per seed; print planned and executed counts, and the failures by cause.
+@dataclass(frozen=True, kw_only=True)
+class EpisodesOptions(BenchOptions):
+    """Plan and execute one episode per seed; print the planned and executed counts, and the failures by cause.
 
-    Interrupted runs go on where they stopped: seeds that ``records`` holds already are not run again.
-
-    Args:
-        env: id of the environment.
-        strategy: how far the planner may go.
-        first_seed: first scene.
-        count: number of scenes.
-        control_mode: action space the expert acts through.
-        workers: processes.
-        records: one JSON line per episode, appended as they end.
-        json_file: write the summary as JSON.
+    An interrupted run resumes: seeds that the records hold are not run again.
     """
-    setting = {"env": env, "strategy": strategy, "control_mode": control_mode, "version": version("regrasp-gym")}
-    seeds = range(first_seed, first_seed + count)
-    ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="episodes")
-    summary = summarise(setting, ended)
-    _show(summary)
-    write_report(json_file, summary)
+
+    env: str = "regrasp_gym/PandaYCB-v0"
+    """Environment id."""
+    strategy: str = "repeated"
+    """Strategy of the planner."""
+    first_seed: int = 0
+    """Seed of the first scene."""
+    count: int = 100
+    """Number of scenes."""
+    control_mode: str = "joint_pos"
+    """Action space through which the expert acts."""
+    records: Path = Path("outputs/bench/episodes.jsonl")
+
+
+def episodes(options: EpisodesOptions) -> int:
+    """Run the benchmark; returns the exit code."""
+    setting = options.values("env", "strategy", "control_mode")
+    setting["version"] = version("regrasp-gym")
+    seeds = range(options.first_seed, options.first_seed + options.count)
+    return run_benchmark(options, setting, seeds, _prepare, summarise, Presentation(_show), "episodes")
 
 
 def run_episode(env: gymnasium.Env, expert: PlannerExpert, seed: int) -> Record:
-    """Plan and execute one episode: what happened, as one JSON-able record."""
+    """Plan and execute one episode; its record."""
     record = plan_episode(env, expert, seed)
     return record | execute_episode(env, expert)
 
 
 def plan_episode(env: gymnasium.Env, expert: PlannerExpert, seed: int) -> Record:
-    """Reset the environment and plan: what came of it and what it cost."""
+    """Reset the environment and plan; outcome and cost as a record."""
     env.reset(seed=seed)
     began = time.perf_counter()
     planned = expert.reset()
@@ -95,7 +94,7 @@ def _phase(phase: Phase) -> Record:
 
 
 def execute_episode(env: gymnasium.Env, expert: PlannerExpert) -> Record:
-    """Let the expert act until it is done; nothing happens if it has no plan."""
+    """Let the expert act until it is done; outcome as a record. Without a plan it does nothing."""
     steps = 0
     while (action := expert.act()) is not None:
         _, _, _, truncated, _ = env.step(action)
@@ -110,33 +109,28 @@ def execute_episode(env: gymnasium.Env, expert: PlannerExpert) -> Record:
     return record
 
 
-def summarise(setting: Record, episodes: list[Record]) -> Record:
-    """Counts, failures by cause, and times, of episodes in the order of their seeds."""
-    ended = [record for record in episodes if "crashed" not in record]
+def summarise(setting: Record, episodes: Sequence[Record]) -> Record:
+    """Counts, failures by cause, and times of episodes in the order of their seeds."""
+    ended = completed(episodes)
     planned = [record for record in ended if record["planned"]]
     succeeded = [record for record in planned if record["success"]]
-    # The first episodes of a process compile; the median does not see them.
+    # The first episodes of a process compile, which hardly changes the median.
     seconds = [record["planning_seconds"] for record in planned] or [float("nan")]
     return {
         **setting,
-        "seeds": [episodes[0]["trial"], episodes[-1]["trial"]] if episodes else [],
+        "seeds": seed_range(episodes),
         "episodes": len(episodes),
         "planned": len(planned),
         "planned_with_regrasp": sum(len(record["stages"]) > 1 for record in planned),
         "executed": len(succeeded),
         "executed_share": len(succeeded) / len(planned) if planned else 0.0,
-        "planning_failures": _causes([record for record in ended if not record["planned"]]),
-        "execution_failures": _causes([record for record in planned if not record["success"]]),
+        "planning_failures": causes([record for record in ended if not record["planned"]]),
+        "execution_failures": causes([record for record in planned if not record["success"]]),
         "crashed": crashes(episodes),
         "failed_in_execution": [record["seed"] for record in planned if not record["success"]],
-        "planning_seconds_median": float(np.median(seconds)),
-        "planning_seconds_p90": float(np.quantile(seconds, 0.9)),
+        **median_and_p90(seconds, "planning_seconds_"),
         "eval_grasp_calls_mean": float(np.mean([record["eval_grasp_calls"] for record in ended] or [0])),
     }
-
-
-def _causes(failed: list[Record]) -> dict[str, int]:
-    return dict(Counter(record["cause"] for record in failed).most_common())
 
 
 def _prepare(setting: Record) -> Callable[[int], Record]:
@@ -172,4 +166,4 @@ def _show(summary: Record) -> None:
 
 
 def _share(part: int, whole: int) -> str:
-    return f"{part / whole:.0%}" if whole else "–"
+    return f"{part / whole:.0%}" if whole else NOTHING

@@ -1,24 +1,27 @@
-"""Times and successes of the planner's modules, warm, beside peers called in turn with them and the paper's figures."""
+"""Times and successes of the planner's modules, warm, beside their peers and the paper's figures."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
 import trimesh
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 import regrasp_gym
-from regrasp_gym.reports.plots import OURS, OURS_TOO, PAPER, PEER, check_format, draw, shares
-from regrasp_gym.reports.trials import Record, crashes, run_trials, wilson, write_report
+from regrasp_bench.options import PlotOptions, SceneOptions
+from regrasp_bench.tables.benchmark import Presentation, run_benchmark
+from regrasp_bench.tables.summary import median_and_p90, milliseconds, seed_range
+from regrasp_bench.tables.timing import least_seconds
+from regrasp_gym.reports.plots import OURS, OURS_LIGHT, PAPER, PEER, cumulative_shares
+from regrasp_gym.reports.report import Record, package_versions, wilson
+from regrasp_gym.reports.trials import crashes, print_crashes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,52 +36,38 @@ PAPER_SECONDS = {STAB_POSE: 2.66e-3, GRASP_GEN: 0.180}
 _COMPARED = ((STAB_POSE, TRIMESH), (TARGET, TRIMESH_TARGET), (GRASP_GEN, SAMPLING), (GRASP_GEN, UNIFORM))
 
 
-def modules(
-    env: str = "regrasp_gym/PandaYCB-v0",
-    scenes: int = 20,
-    first_seed: int = 0,
-    repeats: int = 5,
-    strategies: tuple[str, ...] = ("direct", "static", "nonstatic", "repeated"),
-    workers: int = 1,
-    records: Path = Path("outputs/bench/modules.jsonl"),
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-    plot_file: Annotated[Path | None, tyro.conf.arg(name="plot")] = None,
-) -> None:
-    """Time StabPose beside trimesh, GraspGen beside the sampling baseline, and whole plans, after all is compiled.
+@dataclass(frozen=True, kw_only=True)
+class ModulesOptions(SceneOptions, PlotOptions):
+    """Time StabPose beside trimesh, GraspGen beside the sampling baseline, and whole plans, after all is compiled."""
 
-    Args:
-        env: id of the environment whose scenes are used.
-        scenes: how many; one random hull goes with each.
-        first_seed: seed of the first scene and hull.
-        repeats: timed calls of each module and peer, after one untimed; the least counts. Plans and the baseline
-            are timed once.
-        strategies: of the whole plans.
-        workers: processes; with more than one the times are not to be trusted.
-        records: one JSON line per scene, appended as they end.
-        json_file: write the summary as JSON.
-        plot_file: draw the times (.svg, .png or .pdf).
-    """
-    check_format(plot_file)
-    setting: Record = {"env": env, "repeats": repeats, "strategies": strategies}
-    setting["versions"] = {name: version(name) for name in ("regrasp-gym", "trimesh")}
-    seeds = range(first_seed, first_seed + scenes)
-    ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="scenes")
-    report = summarise(setting, ended)
-    _show(report)
-    write_report(json_file, report, ("regrasp-gym", "jax", "numpy", "scipy", "trimesh", "coal"))
-    draw(plot_file, partial(_paint, ended), panels=2)
+    scenes: int = 20
+    """Number of scenes; one random hull goes with each."""
+    first_seed: int = 0
+    """Seed of the first scene and hull."""
+    repeats: int = 5
+    """Timed calls of each module and peer, after an untimed one; the least time counts. Plans and the baseline are
+    timed once."""
+    strategies: tuple[str, ...] = ("direct", "static", "nonstatic", "repeated")
+    """Strategies of the whole plans."""
+    records: Path = Path("outputs/bench/modules.jsonl")
+
+
+def modules(options: ModulesOptions) -> int:
+    """Run the benchmark; returns the exit code."""
+    versions = package_versions(("regrasp-gym", "trimesh"))
+    setting = {**options.values("env", "repeats", "strategies"), "versions": versions}
+    presentation = Presentation(_show, _paint, 2, ("regrasp-gym", "jax", "numpy", "scipy", "trimesh", "coal"))
+    return run_benchmark(options, setting, options.seeds, _prepare, summarise, presentation)
 
 
 def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
-    """Figures by module, and how many times as long each peer takes."""
+    """Figures by module, and the ratio of each peer's time to ours."""
     rows = _rows(scenes)
     figures: Record = {}
     for name, calls in rows.items():
-        seconds = [call["seconds"] for call in calls]
         figures[name] = {
             "calls": len(calls),
-            "seconds_median": float(np.median(seconds)),
-            "seconds_p90": float(np.quantile(seconds, 0.9)),
+            **median_and_p90([call["seconds"] for call in calls], "seconds_"),
             "paper_seconds": PAPER_SECONDS.get(name),
         }
         if "found" in calls[0]:
@@ -94,7 +83,7 @@ def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
     }
     return {
         **setting,
-        "seeds": [scenes[0]["trial"], scenes[-1]["trial"]] if scenes else [],
+        "seeds": seed_range(scenes),
         "modules": figures,
         "time_ratio_median": ratios,
         "crashed": crashes(scenes),
@@ -129,7 +118,7 @@ def _stable_poses(seed: int, task: Task, repeats: int) -> dict[str, Record]:
     from regrasp_planner import stable_poses
 
     points = np.random.default_rng(seed).normal(size=(60, 3))
-    # On an ellipsoid, so that all 60 are corners of the hull.
+    # On an ellipsoid, so that all 60 points are vertices of the hull.
     hull = trimesh.convex.convex_hull(points / np.linalg.norm(points, axis=1, keepdims=True) * [0.03, 0.04, 0.05])
     body = task.target
     target = trimesh.convex.convex_hull(body.hull_vertices())
@@ -139,7 +128,7 @@ def _stable_poses(seed: int, task: Task, repeats: int) -> dict[str, Record]:
         TARGET: partial(stable_poses, body.hull_vertices(), body.center_of_mass),
         TRIMESH_TARGET: partial(trimesh.poses.compute_stable_poses, target, body.center_of_mass),
     }
-    return {name: {"seconds": seconds} for name, (seconds, _) in _timed(calls, repeats).items()}
+    return {name: {"seconds": seconds} for name, (seconds, _) in least_seconds(calls, repeats).items()}
 
 
 def _grasps(task: Task, robot: Robot, repeats: int) -> dict[str, Record]:
@@ -149,10 +138,10 @@ def _grasps(task: Task, robot: Robot, repeats: int) -> dict[str, Record]:
 
     scene = (task.target, (task.pick, task.place), robot.gripper)
     uniform = GraspGenOptions(starts=StartKind.UNIFORM)
-    timed = _timed(
+    timed = least_seconds(
         {GRASP_GEN: partial(generate_grasps, *scene), UNIFORM: partial(generate_grasps, *scene, uniform)}, repeats
     )
-    timed |= _timed({SAMPLING: partial(sample_grasps, *scene)}, 1)
+    timed |= least_seconds({SAMPLING: partial(sample_grasps, *scene)}, 1)
     return {
         name: {"seconds": seconds, "found": bool(result.grasps), "evaluations": result.evaluations}
         for name, (seconds, result) in timed.items()
@@ -162,24 +151,11 @@ def _grasps(task: Task, robot: Robot, repeats: int) -> dict[str, Record]:
 def _plans(task: Task, robot: Robot, strategies: Sequence[str]) -> dict[str, Record]:
     from regrasp_planner import plan
 
-    timed = _timed({f"plan, {strategy}": partial(plan, task, robot, strategy) for strategy in strategies}, 1)
+    timed = least_seconds({f"plan, {strategy}": partial(plan, task, robot, strategy) for strategy in strategies}, 1)
     return {
         name: {"seconds": seconds, "found": result.success, "evaluations": result.stats.eval_grasp_calls}
         for name, (seconds, result) in timed.items()
     }
-
-
-def _timed(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, tuple[float, Any]]:
-    """Least seconds of several calls each, taken in turn, and what they return."""
-    # Once for whatever has to be compiled.
-    results = {name: call() for name, call in calls.items()}
-    least = dict.fromkeys(calls, np.inf)
-    for _ in range(repeats):
-        for name, call in calls.items():
-            began = time.perf_counter()
-            call()
-            least[name] = min(least[name], time.perf_counter() - began)
-    return {name: (least[name], results[name]) for name in calls}
 
 
 # --- what is shown ----------------------------------------------------------------------------------------------------
@@ -193,9 +169,9 @@ def _show(report: Record) -> None:
         table.add_row(
             name,
             str(row["calls"]),
-            f"{1e3 * row['seconds_median']:.2f}",
-            f"{1e3 * row['seconds_p90']:.2f}",
-            "" if paper is None else f"{1e3 * paper:.2f}",
+            milliseconds(row["seconds_median"], 2),
+            milliseconds(row["seconds_p90"], 2),
+            "" if paper is None else milliseconds(paper, 2),
             f"{row['found']}" if "found" in row else "",
             f"{row['eval_grasp_calls_mean']:.0f}" if "found" in row else "",
         )
@@ -203,16 +179,15 @@ def _show(report: Record) -> None:
     console.print(table)
     for pair, factor in report["time_ratio_median"].items():
         console.print(f"{pair}: {factor:.2f}, median ratio of times", highlight=False)
-    for error, seeds in report["crashed"].items():
-        console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
+    print_crashes(report["crashed"])
 
 
-def _paint(scenes: Sequence[Record], *panels: Axes) -> None:
+def _paint(_: Record, scenes: Sequence[Record], *panels: Axes) -> None:
     rows = _rows(scenes)
     chosen = ((STAB_POSE, TRIMESH), (GRASP_GEN, UNIFORM, SAMPLING))
-    colours = ((OURS, PEER), (OURS, OURS_TOO, PEER))
+    colours = ((OURS, PEER), (OURS, OURS_LIGHT, PEER))
     for axes, names, shades in zip(panels, chosen, colours, strict=True):
         series = {name: np.array([call["seconds"] for call in rows.get(name, [])]) for name in names}
         axes.axvline(PAPER_SECONDS[names[0]], color=PAPER, linestyle="--", label="paper")
-        shares(axes, series, "seconds per call", shades)
+        cumulative_shares(axes, series, "seconds per call", shades)
         axes.set_title(names[0].split(",")[0])

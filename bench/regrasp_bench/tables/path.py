@@ -1,26 +1,30 @@
-"""PathPlan beside RRT-Connect: the same queries, the same judge of collisions."""
+"""PathPlan beside RRT-Connect: the same queries, and the same judge of collisions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-import tyro
 from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
 
 import regrasp_gym
+from regrasp_bench.options import PlotOptions, SceneOptions
 from regrasp_bench.peers.coal_checker import ExactChecker
 from regrasp_bench.peers.ompl_rrt import polyline, rrt_connect
-from regrasp_bench.tables.path_queries import KINDS, Line, Query, asked, random_queries
-from regrasp_gym.reports.plots import OURS, PEER, PEER_TOO, check_format, draw, shares
-from regrasp_gym.reports.trials import Record, crashes, peer, run_trials, write_report
+from regrasp_bench.peers.optional import import_peer
+from regrasp_bench.tables.benchmark import Presentation, run_benchmark
+from regrasp_bench.tables.path_queries import KINDS, CartesianPath, PathQuery, planner_queries, random_queries
+from regrasp_bench.tables.summary import NOTHING, median, milliseconds, queries_of, seed_range
+from regrasp_gym.reports.plots import OURS, PEER, PEER_LIGHT, cumulative_shares
+from regrasp_gym.reports.report import Record, package_versions
+from regrasp_gym.reports.trials import crashes, print_crashes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,72 +32,37 @@ if TYPE_CHECKING:
     from regrasp_planner import Trajectory
 
 _TOUCH = 2e-4
-"""How much deeper (metres) than at the grasp what is in contact there may get on a straight line."""
-_PACKAGES = ("regrasp-gym", "jax", "numpy", "scipy", "mujoco", "coal", "ompl")
+"""How much deeper (metres) than at the grasp a contact may become on a straight line."""
 
 
-def path(
-    env: str = "regrasp_gym/PandaYCB-v0",
-    scenes: int = 50,
-    first_seed: int = 0,
-    strategy: str = "repeated",
-    random_pairs: int = 3,
-    time_limit: float = 10.0,
-    workers: int = 1,
-    records: Path = Path("outputs/bench/path.jsonl"),
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-    plot_file: Annotated[Path | None, tyro.conf.arg(name="plot")] = None,
-) -> None:
-    """Compare PathPlan with OMPL's RRT-Connect, and check every path of both with coal, each cm and degree.
+@dataclass(frozen=True, kw_only=True)
+class PathOptions(SceneOptions, PlotOptions):
+    """Compare PathPlan with OMPL's RRT-Connect. Coal checks every path of both, at each centimetre and degree.
 
     The queries are all that the planner asks while it plans the scenes, answered or not, and random pairs of free
-    configurations between which the straight line is blocked, with an empty hand and with the target in it.
-
-    Args:
-        env: id of the environment whose scenes are used.
-        scenes: how many.
-        first_seed: seed of the first scene.
-        strategy: with which the scenes are planned.
-        random_pairs: random queries per scene, of either kind.
-        time_limit: of RRT-Connect, seconds per query.
-        workers: processes; with more than one the times are not to be trusted.
-        records: one JSON line per scene, appended as they end.
-        json_file: write the summary as JSON.
-        plot_file: draw the times (.svg, .png or .pdf).
+    configurations between which the straight line is blocked, with an empty gripper and with the target in it.
     """
-    check_format(plot_file)
-    setting: Record = {"env": env, "strategy": strategy, "random_pairs": random_pairs, "time_limit": time_limit}
-    setting["versions"] = {name: version(name) for name in ("regrasp-gym", "coal", "ompl")}
-    seeds = range(first_seed, first_seed + scenes)
-    ended = run_trials(setting, seeds, _prepare, workers=workers, records=records, label="scenes")
-    report = summarise(setting, ended)
-    _show(report)
-    write_report(json_file, report, _PACKAGES)
-    draw(plot_file, partial(_paint, ended), panels=2)
+
+    strategy: str = "repeated"
+    """Strategy with which the scenes are planned."""
+    random_pairs: int = 3
+    """Random queries per scene of each kind, with an empty gripper and with the target in it."""
+    time_limit: float = 10.0
+    """Time limit of RRT-Connect, seconds per query."""
+    records: Path = Path("outputs/bench/path.jsonl")
+
+
+def path(options: PathOptions) -> int:
+    """Run the benchmark; returns the exit code."""
+    packages = ("regrasp-gym", "jax", "numpy", "scipy", "mujoco", "coal", "ompl")
+    setting = options.values("env", "strategy", "random_pairs", "time_limit")
+    setting |= {"versions": package_versions(("regrasp-gym", "coal", "ompl"))}
+    return run_benchmark(options, setting, options.seeds, _prepare, summarise, Presentation(_show, _paint, 2, packages))
 
 
 def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
     """Successes, times, lengths and collisions by kind of query."""
-    queries: list[Record] = [
-        {"seed": scene["trial"], "number": i, **query}
-        for scene in scenes
-        for i, query in enumerate(scene.get("queries", ()))
-    ]
-    kinds: Record = {}
-    for kind in KINDS:
-        asked = [query for query in queries if query["kind"] == kind]
-        kept = [query for query in asked if query["free_ends"]]
-        both = [query for query in kept if query["ours"]["success"] and query["rrt"]["success"]]
-        kinds[kind] = {
-            "queries": len(kept),
-            "left_out": len(asked) - len(kept),
-            "left_out_answered": sum(query["ours"]["success"] for query in asked if not query["free_ends"]),
-            "ours": _figures([query["ours"] for query in kept]),
-            "rrt": _figures([query["rrt"] for query in kept]),
-            "length_ratio_median": _median([q["ours"]["length"] / q["rrt"]["length"] for q in both]),
-            "only_rrt": [(q["seed"], q["number"]) for q in kept if q["rrt"]["success"] and not q["ours"]["success"]],
-            "only_ours": [(q["seed"], q["number"]) for q in kept if q["ours"]["success"] and not q["rrt"]["success"]],
-        }
+    queries = queries_of(scenes)
     collisions = [
         {"seed": query["seed"], "number": query["number"], "planner": name, "bodies": query[name]["collisions"]}
         for query in queries
@@ -103,8 +72,8 @@ def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
     lines = [line for scene in scenes for line in scene.get("lines", ())]
     return {
         **setting,
-        "seeds": [scenes[0]["trial"], scenes[-1]["trial"]] if scenes else [],
-        "kinds": kinds,
+        "seeds": seed_range(scenes),
+        "kinds": {kind: _compared([query for query in queries if query["kind"] == kind]) for kind in KINDS},
         "collisions": collisions,
         "lines": {
             "count": len(lines),
@@ -115,88 +84,22 @@ def summarise(setting: Record, scenes: Sequence[Record]) -> Record:
     }
 
 
-# --- trials -----------------------------------------------------------------------------------------------------------
-
-
-def _prepare(setting: Record) -> Callable[[int], Record]:
-    for module in ("coal", "ompl.geometric"):
-        peer(module)
-    made = gymnasium.make(setting["env"])
-    inner = regrasp_gym.PlannerExpert(made).env
-
-    def run(seed: int) -> Record:
-        made.reset(seed=seed)
-        task, robot = inner.task(), inner.planner_robot
-        rng = np.random.default_rng(seed)
-        queries, lines = asked(inner, setting["strategy"])
-        queries += random_queries(task, robot, setting["random_pairs"], rng)
-        limit = setting["time_limit"]
-        return {
-            "queries": [_compare(query, limit, ours_first=k % 2 == 0) for k, query in enumerate(queries)],
-            "lines": [_line(line) for line in lines],
-        }
-
-    return run
-
-
-def _compare(query: Query, time_limit: float, ours_first: bool) -> Record:
-    checker = ExactChecker(query.space.model, query.space.theta)
-    free = checker.free(np.stack([query.start, query.goal]))
-    record: Record = {"kind": query.kind, "free_ends": free}
-    turns = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
-    for name in ("ours", "rrt") if ours_first else ("rrt", "ours"):
-        # RRT-Connect has no use for an end in collision; what PathPlan makes of it shows in its own collisions.
-        if free or name == "ours":
-            record[name] = turns[name]()
-    return record
-
-
-def _line(line: Line) -> Record:
-    """Collisions of a straight line; the end at the grasp may be in contact already, and no deeper than it is there."""
-    checker = ExactChecker(line.space.model, line.space.theta)
-    touching = np.maximum(-checker.clearances(line.trajectory.start[None])[0], 0.0)
-    allowed = np.where(touching > 0, touching + _TOUCH, 0.0)
+def _compared(queries: Sequence[Record]) -> Record:
+    """Figures of both planners for queries of one kind."""
+    kept = [query for query in queries if query["free_ends"]]
+    found = [(query, query["ours"]["success"], query["rrt"]["success"]) for query in kept]
     return {
-        "touching": float(touching.max()),
-        "collisions": checker.collisions(_of_trajectory(line.trajectory), allowed),
+        "queries": len(kept),
+        "left_out": len(queries) - len(kept),
+        "left_out_answered": sum(query["ours"]["success"] for query in queries if not query["free_ends"]),
+        "ours": _figures([query["ours"] for query in kept]),
+        "rrt": _figures([query["rrt"] for query in kept]),
+        "length_ratio_median": median(
+            [query["ours"]["length"] / query["rrt"]["length"] for query, ours, rrt in found if ours and rrt]
+        ),
+        "only_rrt": [(query["seed"], query["number"]) for query, ours, rrt in found if rrt and not ours],
+        "only_ours": [(query["seed"], query["number"]) for query, ours, rrt in found if ours and not rrt],
     }
-
-
-def _ours(query: Query, checker: ExactChecker) -> Record:
-    from regrasp_planner.path.path_plan import plan_path
-
-    answer = partial(plan_path, query.space, query.start, query.goal, query.options)
-    # The first call compiles what has not been; the answer is the same.
-    answer()
-    result = answer()
-    record: Record = {"success": result.success, "seconds": result.stats["seconds"], "status": result.status.name}
-    record |= {"method": result.stats.get("method", ""), "length": None, "collisions": []}
-    if result.trajectory is not None:
-        record |= _judged(_of_trajectory(result.trajectory), checker)
-        record["duration"] = result.trajectory.duration
-    return record
-
-
-def _rrt(query: Query, checker: ExactChecker, time_limit: float) -> Record:
-    limits = query.space.lower, query.space.upper
-    result = rrt_connect(checker, query.start, query.goal, *limits, time_limit)
-    record: Record = {"success": result.waypoints is not None, "seconds": result.seconds}
-    record |= {"simplify_seconds": result.simplify_seconds, "checked": result.checked, "length": None, "collisions": []}
-    if result.waypoints is not None:
-        record |= _judged(polyline(result.waypoints), checker)
-    return record
-
-
-def _judged(course: Callable[[Any], Any], checker: ExactChecker) -> Record:
-    length = np.linalg.norm(np.diff(course(np.linspace(0.0, 1.0, 2001)), axis=0), axis=1).sum()
-    return {"length": float(length), "collisions": checker.collisions(course)}
-
-
-def _of_trajectory(trajectory: Trajectory) -> Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N n"]]:
-    return lambda u: trajectory.at(trajectory.times[0] + u * trajectory.duration)
-
-
-# --- what is shown ----------------------------------------------------------------------------------------------------
 
 
 def _figures(answers: Sequence[Record]) -> Record:
@@ -205,79 +108,157 @@ def _figures(answers: Sequence[Record]) -> Record:
     figures: Record = {
         "success": len(found),
         "free_of_collisions": sum(not answer["collisions"] for answer in found),
-        "seconds_median": _median(seconds),
+        "seconds_median": median(seconds),
         "seconds_p90": float(np.quantile(seconds, 0.9)) if seconds else None,
-        "length_median": _median([answer["length"] for answer in found]),
+        "length_median": median([answer["length"] for answer in found]),
     }
     if found and "simplify_seconds" in found[0]:
-        figures["simplify_seconds_median"] = _median([answer["simplify_seconds"] for answer in found])
-        figures["checked_median"] = _median([answer["checked"] for answer in found])
+        figures["simplify_seconds_median"] = median([answer["simplify_seconds"] for answer in found])
+        figures["checked_median"] = median([answer["checked"] for answer in found])
     return figures
 
 
-def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if len(values) else None
+# --- trials -----------------------------------------------------------------------------------------------------------
 
 
-def _show(report: Record) -> None:
+def _prepare(setting: Record) -> Callable[[int], Record]:
+    for module in ("coal", "ompl.geometric"):
+        import_peer(module)
+    env = gymnasium.make(setting["env"])
+    inner = regrasp_gym.PlannerExpert(env).env
+
+    def run(seed: int) -> Record:
+        env.reset(seed=seed)
+        queries, lines = planner_queries(inner, setting["strategy"])
+        rng = np.random.default_rng(seed)
+        queries += random_queries(inner.task(), inner.planner_robot, setting["random_pairs"], rng)
+        return {
+            "queries": [
+                _compare(query, setting["time_limit"], ours_first=k % 2 == 0) for k, query in enumerate(queries)
+            ],
+            "lines": [_check_line(line) for line in lines],
+        }
+
+    return run
+
+
+def _compare(query: PathQuery, time_limit: float, ours_first: bool) -> Record:
+    checker = ExactChecker(query.space.model, query.space.theta)
+    free = checker.free(np.stack([query.start, query.goal]))
+    record: Record = {"kind": query.kind, "free_ends": free}
+    planners = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
+    for name in ("ours", "rrt") if ours_first else ("rrt", "ours"):
+        # RRT-Connect needs free ends. What PathPlan does with others shows in its own collisions.
+        if free or name == "ours":
+            record[name] = planners[name]()
+    return record
+
+
+def _check_line(line: CartesianPath) -> Record:
+    """Collisions on a straight line. The end at the grasp may be in contact; no contact may become deeper than that."""
+    checker = ExactChecker(line.space.model, line.space.theta)
+    touching = np.maximum(-checker.clearances(line.trajectory.start[None])[0], 0.0)
+    allowed = np.where(touching > 0, touching + _TOUCH, 0.0)
+    collisions = checker.collisions(_by_share(line.trajectory), allowed)
+    return {"touching": float(touching.max()), "collisions": collisions}
+
+
+def _ours(query: PathQuery, checker: ExactChecker) -> Record:
+    from regrasp_planner.path.path_plan import plan_path
+
+    solve = partial(plan_path, query.space, query.start, query.goal, query.options)
+    # The first call compiles. Both have the same result, but for the times.
+    solve()
+    result = solve()
+    record: Record = {"success": result.success, "seconds": result.stats["seconds"], "status": result.status.name}
+    record |= {"method": result.stats.get("method", ""), "length": None, "collisions": []}
+    if result.trajectory is not None:
+        record |= _judge(_by_share(result.trajectory), checker)
+        record["duration"] = result.trajectory.duration
+    return record
+
+
+def _rrt(query: PathQuery, checker: ExactChecker, time_limit: float) -> Record:
+    result = rrt_connect(checker, query.start, query.goal, time_limit)
+    record: Record = {"success": result.waypoints is not None, "seconds": result.seconds}
+    record |= {"simplify_seconds": result.simplify_seconds, "checked": result.checked, "length": None, "collisions": []}
+    if result.waypoints is not None:
+        record |= _judge(polyline(result.waypoints), checker)
+    return record
+
+
+def _judge(course: Callable[[Any], Any], checker: ExactChecker) -> Record:
+    length = np.linalg.norm(np.diff(course(np.linspace(0.0, 1.0, 2001)), axis=0), axis=1).sum()
+    return {"length": float(length), "collisions": checker.collisions(course)}
+
+
+def _by_share(trajectory: Trajectory) -> Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N n"]]:
+    """The trajectory as a function of the share of its duration, 0 to 1."""
+    return lambda u: trajectory.at(trajectory.times[0] + u * trajectory.duration)
+
+
+# --- what is shown ----------------------------------------------------------------------------------------------------
+
+
+def _show(summary: Record) -> None:
     columns = ("queries", "planner", "found", "no collision", "ms", "p90", "simplify", "length")
-    table = Table(*columns, title=f"path queries of scenes {report['seeds']}")
-    for kind, figures in report["kinds"].items():
-        for i, (key, name) in enumerate((("ours", "PathPlan"), ("rrt", "RRTConnect"))):
+    table = Table(*columns, title=f"path queries of scenes {summary['seeds']}")
+    for kind, figures in summary["kinds"].items():
+        label = f"{figures['queries']} {kind}"
+        for key, name in (("ours", "PathPlan"), ("rrt", "RRTConnect")):
             row = figures[key]
-            label = f"{figures['queries']} {kind}" if i == 0 else ""
+            times = [row.get(part) for part in ("seconds_median", "seconds_p90", "simplify_seconds_median")]
             table.add_row(
                 label,
                 name,
                 str(row["success"]),
                 str(row["free_of_collisions"]),
-                *(
-                    _milliseconds(row.get(part))
-                    for part in ("seconds_median", "seconds_p90", "simplify_seconds_median")
-                ),
-                "–" if row["length_median"] is None else f"{row['length_median']:.2f}",
+                *(milliseconds(seconds, 0) for seconds in times),
+                NOTHING if row["length_median"] is None else f"{row['length_median']:.2f}",
             )
-    console = Console()
+            label = ""
+    console = Console(highlight=False)
     console.print(table)
-    console.print("times: median and 90 % per query, found or not; length: median, radians", highlight=False)
-    for kind, figures in report["kinds"].items():
+    console.print("times: median and 90 % per query, found or not; length: median, radians")
+    for kind, figures in summary["kinds"].items():
         if figures["left_out"]:
-            message = f"{kind}: {figures['left_out']} left out, an end in collision already; "
-            message += f"{figures['left_out_answered']} of these PathPlan answers nevertheless"
-            console.print(message, highlight=False)
+            console.print(
+                f"{kind}: {figures['left_out']} left out because an end is in collision; "
+                f"PathPlan answers {figures['left_out_answered']} of them"
+            )
         if figures["only_rrt"]:
-            console.print(f"{kind}: only RRTConnect finds (seed, query) {figures['only_rrt']}", highlight=False)
-    for collision in report["collisions"]:
+            console.print(f"{kind}: only RRTConnect finds (seed, query) {figures['only_rrt']}")
+    depths: list[float] = []
+    for collision in summary["collisions"]:
         if collision["planner"] == "ours":
-            console.print(f"PathPlan in collision: {collision}", style="red", markup=False, highlight=False)
-    lines = report["lines"]
-    message = f"straight lines: {lines['count']}, {len(lines['in_collision'])} of them in collision"
-    console.print(f"{message}; {lines['touching_at_grasp']} begin in contact", highlight=False)
-    depths = [collision["bodies"][0][2] for collision in report["collisions"] if collision["planner"] == "rrt"]
+            console.print(f"PathPlan in collision: {collision}", style="red", markup=False)
+        else:
+            depths.append(collision["bodies"][0][2])
+    lines = summary["lines"]
+    console.print(
+        f"straight lines: {lines['count']}, {len(lines['in_collision'])} of them in collision; "
+        f"{lines['touching_at_grasp']} begin in contact"
+    )
     if depths:
-        message = f"RRTConnect: {len(depths)} paths collide between its checks, {1e3 * max(depths):.1f} mm at most"
-        console.print(message, highlight=False)
-    for error, seeds in report["crashed"].items():
-        console.print(f"crashed: {error}, seeds {seeds}", style="red", markup=False, highlight=False)
-
-
-def _milliseconds(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{1e3 * seconds:.0f}"
-
-
-def _paint(scenes: Sequence[Record], *panels: Axes) -> None:
-    for axes, word in zip(panels, ("planned", "random"), strict=True):
-        queries = [
-            q for scene in scenes for q in scene.get("queries", ()) if q["kind"].startswith(word) and q["free_ends"]
-        ]
-        ours = [q["ours"]["seconds"] if q["ours"]["success"] else np.inf for q in queries]
-        search = [q["rrt"]["seconds"] if q["rrt"]["success"] else np.inf for q in queries]
-        both = [q["rrt"]["simplify_seconds"] + s for q, s in zip(queries, search, strict=True)]
-        series = {"PathPlan": ours, "RRTConnect": search, "RRTConnect, simplified": both}
-        shares(
-            axes,
-            {name: np.array(values) for name, values in series.items()},
-            "seconds per query",
-            (OURS, PEER, PEER_TOO),
+        console.print(
+            f"RRTConnect: {len(depths)} paths collide between its checks, by up to {1e3 * max(depths):.1f} mm"
         )
+    print_crashes(summary["crashed"])
+
+
+def _paint(_: Record, scenes: Sequence[Record], *panels: Axes) -> None:
+    free = [query for query in queries_of(scenes) if query["free_ends"]]
+    for axes, word in zip(panels, ("planned", "random"), strict=True):
+        queries = [query for query in free if query["kind"].startswith(word)]
+
+        def seconds(name: str, queries: Sequence[Record] = queries) -> Float[np.ndarray, " N"]:
+            return np.array([query[name]["seconds"] if query[name]["success"] else np.inf for query in queries])
+
+        simplify = np.array([query["rrt"]["simplify_seconds"] for query in queries])
+        series = {
+            "PathPlan": seconds("ours"),
+            "RRTConnect": seconds("rrt"),
+            "RRTConnect, simplified": seconds("rrt") + simplify,
+        }
+        cumulative_shares(axes, series, "seconds per query", (OURS, PEER, PEER_LIGHT))
         axes.set_title(f"{word} queries")

@@ -22,14 +22,14 @@ _ATTEMPTS = 1000
 
 
 @dataclass(frozen=True)
-class Query:
+class PathQuery:
     """One path query.
 
     Attributes:
         kind: one of `KINDS`.
         space: bodies, pairs and finger coordinate.
         start, goal: (n,) configurations, radians.
-        options: of PathPlan.
+        options: options of PathPlan.
     """
 
     kind: str
@@ -40,8 +40,8 @@ class Query:
 
 
 @dataclass(frozen=True)
-class Line:
-    """A straight line of the gripper that PathPlan found, from a grasp.
+class CartesianPath:
+    """A straight motion of the gripper from a grasp, as PathPlan found it.
 
     Attributes:
         space: bodies, pairs and finger coordinate.
@@ -52,8 +52,8 @@ class Line:
     trajectory: Trajectory
 
 
-def asked(env: RegraspEnv, strategy: str) -> tuple[list[Query], list[Line]]:
-    """All path queries of one plan of an environment's, answered or not, and all straight lines that it found."""
+def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[PathQuery], list[CartesianPath]]:
+    """All path queries of one plan of a scene, answered or not, and all straight lines that the planner found."""
     from regrasp_planner import plan
 
     recorder = _Recorder()
@@ -65,8 +65,8 @@ class _Recorder:
     """A `regrasp_planner.stages.motion.PathObserver` that keeps all path queries and all lines found."""
 
     def __init__(self) -> None:
-        self.queries: list[Query] = []
-        self.lines: list[Line] = []
+        self.queries: list[PathQuery] = []
+        self.lines: list[CartesianPath] = []
 
     def on_path(
         self,
@@ -79,7 +79,7 @@ class _Recorder:
         """Keep the query."""
         del result
         kind = "planned, holding" if "held" in space.model.body_names else "planned"
-        self.queries.append(Query(kind, space, start, goal, options))
+        self.queries.append(PathQuery(kind, space, start, goal, options))
 
     def on_line(
         self,
@@ -92,13 +92,13 @@ class _Recorder:
         """Keep the line, if there is one."""
         del start, displacement, options
         if result.trajectory is not None:
-            self.lines.append(Line(space, result.trajectory))
+            self.lines.append(CartesianPath(space, result.trajectory))
 
 
-def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[Query]:
-    """Random pairs of free configurations with something in between, with an empty hand and with the target in it.
+def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[PathQuery]:
+    """Random pairs of free configurations with an obstacle between, with an empty gripper and with the target in it.
 
-    There are ``count`` of either kind, or fewer where that many tries do not find them.
+    There are ``count`` of each kind, or fewer if `_ATTEMPTS` do not find them.
     """
     from regrasp_planner.grasp.grasp_gen import generate_grasps
     from regrasp_planner.path.options import PathOptions
@@ -111,16 +111,16 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
     if grasps:
         worlds.append(("random, holding", models.holding(grasps[0]), float(grasps[0].theta)))
-    queries: list[Query] = []
+    queries: list[PathQuery] = []
     for kind, model, theta in worlds:
         space = ConfigurationSpace(model, theta)
         checker = ExactChecker(model, theta)
-        found: list[Query] = []
+        found: list[PathQuery] = []
         for _ in range(_ATTEMPTS):
             if len(found) == count:
                 break
             start, goal = rng.uniform(space.lower, space.upper, (2, robot.arm.dof))
             if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
-                found.append(Query(kind, space, start, goal, PathOptions()))
+                found.append(PathQuery(kind, space, start, goal, PathOptions()))
         queries += found
     return queries

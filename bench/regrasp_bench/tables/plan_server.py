@@ -1,7 +1,7 @@
 """Plans on request, in a process of its own: one JSON object a line on standard input, one on standard output.
 
-This file is run as a script by the interpreter of any checkout, an older one, too. So it imports nothing of this
-package, and of the others only what every version has: ``gymnasium.make`` and the environments' ``plan``.
+The interpreter of any checkout, even an older one, runs this file as a script. It therefore imports nothing of this
+package, and uses only what every version has: ``gymnasium.make`` and the environments' ``plan``.
 """
 
 import json
@@ -12,7 +12,7 @@ BEGAN = time.perf_counter()
 
 
 def main() -> None:
-    """Make the environment named on the command line, then plan each seed that is asked for."""
+    """Make the environment named on the command line, then plan each requested seed."""
     out, sys.stdout = sys.stdout, sys.stderr
     import gymnasium
 

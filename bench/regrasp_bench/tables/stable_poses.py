@@ -1,33 +1,41 @@
-"""StabPose beside trimesh and drops in MuJoCo: which stable poses are found, which invented, and in what time."""
+"""StabPose beside trimesh and drops in MuJoCo: stable poses found, poses invented, and times."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 from jaxtyping import Bool, Float
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from regrasp_bench.tables.drops import SAME_POSE, DropTable, random_hull, stone_of
+from regrasp_bench.options import PlotOptions
+from regrasp_bench.tables.benchmark import Presentation, run_benchmark
+from regrasp_bench.tables.drops import SAME_POSE, DropTable
+from regrasp_bench.tables.hulls import random_hull, stone_of
+from regrasp_bench.tables.summary import NOTHING, completed, mean, median, milliseconds
+from regrasp_bench.tables.timing import least_seconds
 from regrasp_gym.objects import OBJECTS
 from regrasp_gym.objects.model import ObjectModel
-from regrasp_gym.reports.plots import OURS, OURS_TOO, PEER, bars, check_format, draw
-from regrasp_gym.reports.trials import Record, crashes, run_trials, write_report
+from regrasp_gym.reports.plots import OURS, OURS_LIGHT, PEER, bars
+from regrasp_gym.reports.report import Record
+from regrasp_gym.reports.trials import crashes, print_crashes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from regrasp_planner import StablePoses
+
 POINTS = (12, 200)
-"""Least and greatest number of points of the random hulls."""
+"""Least and largest number of points of the random hulls."""
 
 PAPER_SECONDS = 2.66e-3
 """Time of the paper's C++ implementation on an i5-13600KF (Song et al., §IV-B)."""
@@ -38,53 +46,39 @@ SIZE = 0.05
 """Radius of the random hulls along their longest axis, metres."""
 
 HEIGHT = 0.002
-"""Height above the table from which objects are dropped, metres."""
+"""Height of drops above the table, metres."""
 
 
-def stable_poses(
-    hulls: int = 200,
-    drops: int = 24,
-    repeats: int = 9,
-    workers: int = 1,
-    records: Path = Path("outputs/bench/stable_poses.jsonl"),
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-    plot_file: Annotated[Path | None, tyro.conf.arg(name="plot")] = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class StablePosesOptions(PlotOptions):
     """Compare StabPose with trimesh and with drops, over the shipped objects, random hulls, and 20 hulls of 60 points.
 
-    The random hulls have 12 to 200 points on ellipsoids. StabPose and trimesh are timed turn by turn on the same hulls,
-    from the points to the poses with everything included, and trimesh also with the hull made for it beforehand. The
-    drops begin in random orientations. An interrupted run goes on where it stopped; for the times to mean something run
-    it with one worker and nothing beside it.
-
-    Args:
-        hulls: random hulls.
-        drops: per object and hull.
-        repeats: timed calls of each; the least is taken, which the machine disturbs least.
-        workers: processes.
-        records: one JSON line per object or hull, appended as they end.
-        json_file: write the summary as JSON.
-        plot_file: draw it (.svg, .png or .pdf).
+    The random hulls have 12 to 200 points on ellipsoids. StabPose and trimesh are timed in turn on the same hulls, from
+    the points to the poses with everything included, and trimesh also with the hull made beforehand. Drops start in
+    random orientations. An interrupted run resumes. Times are reliable only with one worker and an idle machine.
     """
-    check_format(plot_file)
-    setting: Record = {
-        "benchmark": "stable-poses",
-        "version": version("regrasp-gym"),
-        "hulls": hulls,
-        "drops": drops,
-        "repeats": repeats,
-    }
-    trials = range(len(OBJECTS) + hulls + TIMED_HULLS)
-    done = run_trials(setting, trials, _prepare, workers=workers, records=records, label="stable poses")
-    report = summarise(setting, done)
-    _show(report)
-    write_report(json_file, report, ("regrasp-gym", "jax", "numpy", "scipy", "trimesh", "mujoco"))
-    draw(plot_file, partial(_paint, report, done), panels=2)
+
+    hulls: int = 200
+    """Random hulls."""
+    drops: int = 24
+    """Drops per object and hull."""
+    repeats: int = 9
+    """Timed calls of each; the least time counts, which disturbances affect least."""
+    records: Path = Path("outputs/bench/stable_poses.jsonl")
+
+
+def stable_poses(options: StablePosesOptions) -> int:
+    """Run the benchmark; returns the exit code."""
+    setting = {"benchmark": "stable-poses", "version": version("regrasp-gym")}
+    setting |= options.values("hulls", "drops", "repeats")
+    trials = range(len(OBJECTS) + options.hulls + TIMED_HULLS)
+    presentation = Presentation(_show, _paint, 2, ("regrasp-gym", "jax", "numpy", "scipy", "trimesh", "mujoco"))
+    return run_benchmark(options, setting, trials, _prepare, summarise, presentation, "stable poses")
 
 
 def summarise(setting: Record, done: Sequence[Record]) -> Record:
-    """One row per kind of object, from the records of the trials."""
-    ended = [record for record in done if "crashed" not in record]
+    """One row per kind of object."""
+    ended = completed(done)
     kinds = dict.fromkeys(record["kind"] for record in ended)
     rows = {kind: _row([record for record in ended if record["kind"] == kind]) for kind in kinds}
     return {
@@ -105,14 +99,14 @@ def _row(records: Sequence[Record]) -> Record:
         "objects": len(records),
         "poses": sum(record["poses"] for record in records),
         "invented": sum(record["invented"] for record in records),
-        "probability_found_mean": _mean(found),
+        "probability_found_mean": mean(found),
         "probability_found_least": min(found, default=None),
         "seconds": {
-            **{name: _median(values) for name, values in times.items()},
-            "drop": _median([drops["seconds"] for drops in landed]),
-            "drops_per_object": _median([drops["seconds"] * drops["count"] for drops in landed]),
+            **{name: median(values) for name, values in times.items()},
+            "drop": median([drops["seconds"] for drops in landed]),
+            "drops_per_object": median([drops["seconds"] * drops["count"] for drops in landed]),
         },
-        "times_faster": {name: _median(times[name] / times["stab_pose"]) for name in names[1:]},
+        "times_faster": {name: median(times[name] / times["stab_pose"]) for name in names[1:]},
         "drops": {
             "count": sum(drops["rested"] for drops in landed),
             "into_a_pose_found": _ratio(landed, "into_a_pose_found"),
@@ -127,14 +121,6 @@ def _ratio(landed: Sequence[Record], name: str) -> float | None:
     return sum(drops[name] for drops in landed) / total if total else None
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if len(values) else None
-
-
-def _median(values: Sequence[float] | Float[np.ndarray, " N"]) -> float | None:
-    return float(np.median(values)) if len(values) else None
-
-
 # --- trials -----------------------------------------------------------------------------------------------------------
 
 
@@ -142,7 +128,7 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
     return partial(_compare, setting)
 
 
-def subject(trial: int, hulls: int) -> tuple[str, ObjectModel]:
+def trial_object(trial: int, hulls: int) -> tuple[str, ObjectModel]:
     """Kind and shape of a trial: the shipped objects, then random hulls, then hulls of `TIMED_POINTS` points."""
     names = sorted(OBJECTS)
     if trial < len(names):
@@ -158,28 +144,28 @@ def subject(trial: int, hulls: int) -> tuple[str, ObjectModel]:
 def _compare(setting: Record, trial: int) -> Record:
     import trimesh
 
-    from regrasp_planner import stable_poses as ours
+    from regrasp_planner import stable_poses as stab_pose
 
-    kind, thing = subject(trial, setting["hulls"])
-    # Both get the bare points and the same centre of mass: of the solid, the origin of the object's frame.
+    kind, thing = trial_object(trial, setting["hulls"])
+    # Both get the points and the same centre of mass, the solid's, at the origin of the object's frame.
     points, center = np.concatenate(thing.pieces), np.zeros(3)
 
     def of_hull(mesh: trimesh.Trimesh) -> tuple[Float[np.ndarray, "T 4 4"], Float[np.ndarray, " T"]]:
         return trimesh.poses.compute_stable_poses(mesh, center_mass=center, sigma=0, n_samples=1, threshold=0)
 
     hull = trimesh.convex.convex_hull(points)
-    calls: dict[str, Callable[[], Any]] = {
-        "stab_pose": lambda: ours(points, center),
-        "trimesh": lambda: of_hull(trimesh.convex.convex_hull(points)),
-        "trimesh_given_the_hull": lambda: of_hull(hull),
-    }
-    poses = ours(points, center)
-    transforms, probability = of_hull(hull)
+    timed = least_seconds(
+        {
+            "stab_pose": lambda: stab_pose(points, center),
+            "trimesh": lambda: of_hull(trimesh.convex.convex_hull(points)),
+            "trimesh_given_the_hull": lambda: of_hull(hull),
+        },
+        setting["repeats"],
+    )
+    poses: StablePoses = timed["stab_pose"][1]
+    transforms, probability = timed["trimesh_given_the_hull"][1]
     expected = -transforms[:, 2, :3]
     near = expected @ poses.directions.T > np.cos(SAME_POSE)
-    seconds = dict.fromkeys(calls, np.inf)
-    for _ in range(setting["repeats"]):
-        seconds = {name: min(seconds[name], _seconds(call)) for name, call in calls.items()}
     return {
         "kind": kind,
         "thing": thing.name,
@@ -187,14 +173,14 @@ def _compare(setting: Record, trial: int) -> Record:
         "poses": len(poses),
         "poses_of_trimesh": len(expected),
         "probability_found": float(probability[near.any(axis=1)].sum() / probability.sum()),
-        "invented": int((~stands(points - center, poses.directions)).sum()),
-        "seconds": seconds,
+        "invented": int((~is_stable(points - center, poses.directions)).sum()),
+        "seconds": {name: seconds for name, (seconds, _) in timed.items()},
         "drops": _drops(thing, poses, expected, setting["drops"], np.random.default_rng([trial, 0xD809])),
     }
 
 
 def _drops(
-    thing: ObjectModel, poses: Any, expected: Float[np.ndarray, "T 3"], count: int, rng: np.random.Generator
+    thing: ObjectModel, poses: StablePoses, expected: Float[np.ndarray, "T 3"], count: int, rng: np.random.Generator
 ) -> Record:
     table = DropTable(thing)
     turns = Rotation.random(count, rng)
@@ -216,10 +202,10 @@ def _drops(
     }
 
 
-def stands(points: Float[np.ndarray, "N 3"], directions: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " m"]:
-    """Whether an object with its centre of mass at the origin rests statically with each direction down.
+def is_stable(points: Float[np.ndarray, "N 3"], directions: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " m"]:
+    """Whether an object, with its centre of mass at the origin, is statically stable with each direction down.
 
-    It does if the lowest points span a facet and the centre of mass is above the inside of it.
+    It is if the lowest points span a facet and the centre of mass is above the facet's interior.
     """
     found = np.zeros(len(directions), bool)
     for k, direction in enumerate(directions):
@@ -227,15 +213,9 @@ def stands(points: Float[np.ndarray, "N 3"], directions: Float[np.ndarray, "m 3"
         lowest = points[heights > heights.max() - 1e-6 * np.ptp(heights)]
         if len(lowest) >= 3:
             across = np.linalg.svd(direction[None])[2][1:]
-            # The foot of the centre of mass is the origin of the plane.
+            # The centre of mass projects to the origin of the plane.
             found[k] = (ConvexHull(lowest @ across.T).equations[:, 2] < 0).all()
     return found
-
-
-def _seconds(call: Callable[[], Any]) -> float:
-    began = time.perf_counter()
-    call()
-    return time.perf_counter() - began
 
 
 # --- what is shown ----------------------------------------------------------------------------------------------------
@@ -254,41 +234,36 @@ def _show(report: Record) -> None:
     add("invented", lambda row: str(row["invented"]))
     add("landing probability found, mean", lambda row: _percent(row["probability_found_mean"]))
     add("… least", lambda row: _percent(row["probability_found_least"]))
-    add("StabPose", lambda row: _ms(row["seconds"]["stab_pose"]))
-    add("trimesh", lambda row: _ms(row["seconds"]["trimesh"]))
-    add("… given the hull", lambda row: _ms(row["seconds"]["trimesh_given_the_hull"]))
+    add("StabPose", lambda row: milliseconds(row["seconds"]["stab_pose"], 2))
+    add("trimesh", lambda row: milliseconds(row["seconds"]["trimesh"], 2))
+    add("… given the hull", lambda row: milliseconds(row["seconds"]["trimesh_given_the_hull"], 2))
     add("times faster", lambda row: _times(row["times_faster"]["trimesh"]))
     add("… than given the hull", lambda row: _times(row["times_faster"]["trimesh_given_the_hull"]))
-    add("one drop in MuJoCo", lambda row: _ms(row["seconds"]["drop"]))
+    add("one drop in MuJoCo", lambda row: milliseconds(row["seconds"]["drop"], 2))
     add("drops into a pose found", lambda row: _percent(row["drops"]["into_a_pose_found"]))
     add("… into one that trimesh finds", lambda row: _percent(row["drops"]["into_a_pose_trimesh_finds"]))
     add("… into that of the nearest start", lambda row: _percent(row["drops"]["into_the_pose_of_the_start"]))
     console.print(table)
     console.print(f"paper: {1e3 * report['paper_seconds']:.2f} ms (C++, i5-13600KF)", highlight=False)
-    for error, numbers in report["crashed"].items():
-        console.print(f"crashed: {error}, trials {numbers}", style="red", markup=False, highlight=False)
+    print_crashes(report["crashed"], "trials")
 
 
 def _percent(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.2f} %"
+    return NOTHING if share is None else f"{100 * share:.2f} %"
 
 
 def _times(factor: float | None) -> str:
-    return "–" if factor is None else f"{factor:.1f}"
-
-
-def _ms(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{1e3 * seconds:.2f}"
+    return NOTHING if factor is None else f"{factor:.1f}"
 
 
 def _paint(report: Record, done: Sequence[Record], left: Axes, right: Axes) -> None:
-    ended = [record for record in done if "crashed" not in record]
+    ended = completed(done)
     vertices = [record["vertices"] for record in ended]
     drops = [record["drops"]["seconds"] * record["drops"]["count"] for record in ended]
     series = {
         "StabPose": ([record["seconds"]["stab_pose"] for record in ended], OURS),
         "trimesh": ([record["seconds"]["trimesh"] for record in ended], PEER),
-        f"{report['drops']} drops in MuJoCo": (drops, OURS_TOO),
+        f"{report['drops']} drops in MuJoCo": (drops, OURS_LIGHT),
     }
     for name, (seconds, colour) in series.items():
         left.scatter(vertices, 1e3 * np.array(seconds), s=8, color=colour, label=name)

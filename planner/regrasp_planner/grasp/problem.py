@@ -23,7 +23,7 @@ from regrasp_planner.geometry.distance import separation
 from regrasp_planner.geometry.hull import hull_planes
 from regrasp_planner.geometry.support import ConvexBody, support_value
 from regrasp_planner.grasp.grasp import GraspGenOptions
-from regrasp_planner.optim.augmented_lagrangian import augmented_lagrangian
+from regrasp_planner.optim.augmented_lagrangian import Options, Stall, augmented_lagrangian
 from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 from regrasp_planner.robot.gripper import reduce_gripper
 from regrasp_planner.robot.model import Gripper
@@ -209,22 +209,23 @@ def refine(
     """Augmented Lagrangian with the Riemannian trust region and BFGS (Alg. 1) from K starts in lockstep."""
     manifold = Product((SE3(length=length), Euclidean(1)))
     count = _clearances(problem)
+    options = Options(
+        max_evaluations,
+        max_inner=6,
+        constraint_tolerance=2e-3,
+        gradient_tolerance=1e-3,
+        stall=Stall(1e-3, 2),
+        initial_penalty=20.0,
+    )
 
     def one(pose: Array, theta: Array, part: Array, planes: Array) -> tuple[Array, Terms, Array]:
         result = augmented_lagrangian(
             grasp_objective,
             (pose, theta),
             manifold,
+            options,
             params=replace(problem, taken=part, grounds=planes),
             counts=(2, count + 3),
-            max_evaluations=max_evaluations,
-            max_inner=6,
-            constraint_tolerance=2e-3,
-            gradient_tolerance=1e-3,
-            initial_penalty=20.0,
-            initial_radius=0.3,
-            stall_decrease=1e-3,
-            stall_steps=2,
         )
         terms = _rated(result.value, result.equalities, result.inequalities, result.point[1], problem)
         return result.point[0], terms, result.evaluations

@@ -29,7 +29,8 @@ from regrasp_planner.collision.model import (
     pair_clearances,
 )
 from regrasp_planner.ik.descent import ROTATION_LENGTH, reach
-from regrasp_planner.optim import ConstrainedResult, Euclidean, augmented_lagrangian
+from regrasp_planner.optim.augmented_lagrangian import ConstrainedResult, Options, Stall, augmented_lagrangian
+from regrasp_planner.optim.manifold import Euclidean
 from regrasp_planner.robot.kinematics import forward_kinematics, pose_error
 from regrasp_planner.robot.model import Arm
 
@@ -365,15 +366,10 @@ def _descend(
             problem,
             start,
             Euclidean(arm.dof),
+            # The first feasible point will do.
+            Options(60, max_inner=8, constraint_tolerance=1e-3, initial_radius=0.5, stall=Stall(np.inf, 1)),
             params=(*params, start),
             counts=(6, pairs.shape[1] + 2 * arm.dof),
-            max_evaluations=60,
-            max_inner=8,
-            constraint_tolerance=1e-3,
-            initial_penalty=10.0,
-            initial_radius=0.5,
-            stall_decrease=jnp.inf,
-            stall_steps=1,
         )
 
     return jax.vmap(solve)(starts, targets, theta, pairs)

@@ -1,64 +1,72 @@
-"""Riemannian trust region with the truncated conjugate gradients of Steihaug and Toint.
-
-The loop evaluates first and proposes afterwards, so that the objective is traced once, and rejected steps cost one
-evaluation like any other. Everything is fixed-shape and free of Python branches on values: `jax.vmap` over starts
-runs them in lockstep, and each reports how it ended in a status code.
-"""
+"""The parts of a trust-region method: the subproblem, and what a trial step says about the radius."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from enum import IntEnum
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
-
-from regrasp_planner.optim.bfgs import bfgs_update
-from regrasp_planner.optim.manifold import Manifold, Point
-
-
-class Status(IntEnum):
-    """How a solver ended."""
-
-    RUNNING = 0
-    CONVERGED = 1
-    """First-order conditions hold within the tolerances."""
-    STALLED = 2
-    """No further progress can be made in floating point, or it fell below the requested rate; constraints hold."""
-    INFEASIBLE = 3
-    """Penalties at their limit, or no progress, with constraints still violated."""
-    BUDGET = 4
-    """The cap on evaluations was reached."""
-    NOT_FINITE = 5
-    """The function was not finite at the start."""
-
-
-class Result(NamedTuple):
-    """Outcome of `trust_region`.
-
-    Attributes:
-        point: best point found.
-        value: () objective there.
-        gradient: (d,) Riemannian gradient there, in tangent coordinates.
-        grad_norm: () its norm.
-        iterations: () accepted steps.
-        evaluations: () evaluations of the objective with its derivatives.
-        status: () a `Status`.
-    """
-
-    point: Point
-    value: Float[Array, ""]
-    gradient: Float[Array, " d"]
-    grad_norm: Float[Array, ""]
-    iterations: Int[Array, ""]
-    evaluations: Int[Array, ""]
-    status: Int[Array, ""]
-
+from jaxtyping import Array, Bool, Float
 
 # Conn, Gould, Toint, *Trust-Region Methods*, §17.1: any 0 < accept < shrink < grow < 1 converges.
 ACCEPT_RATIO, SHRINK_RATIO, GROW_RATIO = 0.05, 0.25, 0.75
+
+
+class Step(NamedTuple):
+    """A trial step.
+
+    Attributes:
+        tangent: (d,) the step in tangent coordinates.
+        predicted: () decrease that the quadratic model predicts.
+        on_boundary: () whether the radius limits the step.
+    """
+
+    tangent: Float[Array, " d"]
+    predicted: Float[Array, ""]
+    on_boundary: Bool[Array, ""]
+
+
+def propose(gradient: Float[Array, " d"], hessian: Float[Array, "d d"], radius: Float[Array, ""]) -> Step:
+    """`truncated_cg` step and the decrease it predicts."""
+    step, on_boundary = truncated_cg(gradient, hessian, radius)
+    return Step(step, -(gradient @ step + 0.5 * step @ hessian @ step), on_boundary)
+
+
+def judge(
+    step: Step, before: Float[Array, ""], after: Float[Array, ""], radius: Float[Array, ""], max_radius: float
+) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+    """Whether to accept a step, and the next radius.
+
+    The ratio of actual to predicted decrease decides both. Decreases are regularised by the rounding error of the
+    values.
+
+    Args:
+        step: the trial step.
+        before, after: () values at both ends; a value that is not finite refuses the step.
+        radius: () trust radius that the step was computed for.
+        max_radius: largest radius.
+    """
+    rounding = 1e3 * jnp.finfo(before.dtype).eps * jnp.maximum(1.0, jnp.abs(before))
+    ratio = (before - after + rounding) / (step.predicted + rounding)
+    ratio = jnp.where(jnp.isfinite(after), ratio, -1.0)
+    shrunk = 0.25 * jnp.minimum(radius, jnp.linalg.norm(step.tangent))
+    grown = jnp.where((ratio > GROW_RATIO) & step.on_boundary, jnp.minimum(2.0 * radius, max_radius), radius)
+    return ratio > ACCEPT_RATIO, jnp.where(ratio < SHRINK_RATIO, shrunk, grown)
+
+
+class _Iteration(NamedTuple):
+    """Conjugate gradients: residual and its square, search direction, whether to go on."""
+
+    step: Float[Array, " d"]
+    residual: Float[Array, " d"]
+    direction: Float[Array, " d"]
+    square: Float[Array, ""]
+    ended: _End
+
+
+class _End(NamedTuple):
+    done: Bool[Array, ""]
+    on_boundary: Bool[Array, ""]
 
 
 def truncated_cg(
@@ -66,7 +74,7 @@ def truncated_cg(
 ) -> tuple[Float[Array, " d"], Bool[Array, ""]]:
     """Approximate minimiser of gᵀs + ½ sᵀHs within ‖s‖ ≤ radius (Steihaug 1983, Toint 1981).
 
-    Conjugate gradients, stopped at the boundary when a step leaves the region or the curvature is not positive.
+    Conjugate gradients stop at the boundary when a step leaves the region or the curvature is not positive.
 
     Args:
         gradient: (d,) g.
@@ -78,185 +86,31 @@ def truncated_cg(
     """
     dim = gradient.shape[0]
     norm0 = jnp.linalg.norm(gradient)
-    # Superlinear rate near the solution (residual falls with the gradient), a rough solve far from it.
+    # Superlinear rate near the solution (the residual falls with the gradient), a rough solve far from it.
     goal = norm0 * jnp.minimum(0.05, norm0)
 
-    def body(_: Any, carry: Any) -> Any:
-        step, residual, direction, square, done, _ = carry
-        image = hessian @ direction
-        curvature = direction @ image
-        alpha = square / jnp.where(curvature > 0, curvature, 1.0)
-        longer = step + alpha * direction
+    def advance(_: int, old: _Iteration) -> _Iteration:
+        image = hessian @ old.direction
+        curvature = old.direction @ image
+        alpha = old.square / jnp.where(curvature > 0, curvature, 1.0)
+        longer = old.step + alpha * old.direction
         leaves = (curvature <= 0) | (longer @ longer >= radius**2)
-        # Positive root of ‖step + τ direction‖ = radius, written without cancellation.
-        a, b, c = direction @ direction, step @ direction, step @ step - radius**2
-        root = jnp.sqrt(jnp.maximum(b * b - a * c, 0.0))
-        tau = jnp.where(b > 0, -c / jnp.where(b > 0, b + root, 1.0), (root - b) / jnp.where(a > 0, a, 1.0))
-        new_step = jnp.where(leaves, step + tau * direction, longer)
-        new_residual = residual + alpha * image
-        new_square = new_residual @ new_residual
-        beta = new_square / jnp.where(square > 0, square, 1.0)
-        new_direction = -new_residual + beta * direction
-        small = jnp.sqrt(new_square) <= goal
-        fresh = (new_step, new_residual, new_direction, new_square, leaves | small, leaves)
-        return jax.tree.map(lambda new, old: jnp.where(done, old, new), fresh, carry)
+        step = jnp.where(leaves, old.step + _to_boundary(old.step, old.direction, radius) * old.direction, longer)
+        residual = old.residual + alpha * image
+        square = residual @ residual
+        beta = square / jnp.where(old.square > 0, old.square, 1.0)
+        small = jnp.sqrt(square) <= goal
+        new = _Iteration(step, residual, -residual + beta * old.direction, square, _End(leaves | small, leaves))
+        return jax.tree.map(lambda kept, fresh: jnp.where(old.ended.done, kept, fresh), old, new)
 
-    start = (jnp.zeros(dim), gradient, -gradient, gradient @ gradient, norm0 == 0.0, jnp.asarray(False))
-    step, _, _, _, _, hit = jax.lax.fori_loop(0, 2 * dim, body, start)
-    return step, hit
+    start = _End(norm0 == 0.0, jnp.asarray(False))
+    begin = _Iteration(jnp.zeros(dim), gradient, -gradient, gradient @ gradient, start)
+    end = jax.lax.fori_loop(0, 2 * dim, advance, begin)
+    return end.step, end.ended.on_boundary
 
 
-def next_radius(
-    ratio: Float[Array, ""],
-    radius: Float[Array, ""],
-    step_norm: Float[Array, ""],
-    hit: Bool[Array, ""],
-    max_radius: float,
-) -> Float[Array, ""]:
-    """Trust radius after a step whose actual reduction was ``ratio`` times the predicted one."""
-    shrunk = 0.25 * jnp.minimum(radius, step_norm)
-    grown = jnp.minimum(2.0 * radius, max_radius)
-    return jnp.where(ratio < SHRINK_RATIO, shrunk, jnp.where((ratio > GROW_RATIO) & hit, grown, radius))
-
-
-def reduction_ratio(before: Float[Array, ""], after: Float[Array, ""], predicted: Float[Array, ""]) -> Float[Array, ""]:
-    """Actual over predicted reduction, both regularised by the rounding error of the values; −1 if not finite."""
-    rounding = 1e3 * jnp.finfo(before.dtype).eps * jnp.maximum(1.0, jnp.abs(before))
-    ratio = (before - after + rounding) / (predicted + rounding)
-    return jnp.where(jnp.isfinite(after), ratio, -1.0)
-
-
-def select(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
-    """Leaf by leaf ``new`` where the condition holds, else ``old``."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
-
-
-class _State(NamedTuple):
-    trial: Point
-    step: Float[Array, " d"]
-    predicted: Float[Array, ""]
-    hit: Bool[Array, ""]
-    point: Point
-    value: Float[Array, ""]
-    gradient: Float[Array, " d"]
-    hessian: Float[Array, "d d"]
-    radius: Float[Array, ""]
-    iterations: Int[Array, ""]
-    evaluations: Int[Array, ""]
-    updates: Int[Array, ""]
-    status: Int[Array, ""]
-
-
-def trust_region(
-    objective: Callable[[Point, Any], Float[Array, ""]],
-    start: Point,
-    manifold: Manifold,
-    *,
-    params: Any = (),
-    hessian: Literal["exact", "bfgs"] = "bfgs",
-    max_evaluations: int = 200,
-    tolerance: float = 1e-8,
-    initial_radius: float = 0.5,
-    max_radius: float = 3.0,
-) -> Result:
-    """Minimise a smooth function on a manifold (Absil, Baker, Gallivan 2007; with ``bfgs`` the solver of Alg. 1).
-
-    Args:
-        objective: ``objective(point, params)`` → scalar. With ``hessian="exact"`` it is differentiated twice
-            (forward over reverse), with ``"bfgs"`` once in reverse mode.
-        start: first point.
-        manifold: where the points live.
-        params: arrays handed to the objective, so that it needs no closure over changing data.
-        hessian: exact Riemannian Hessian (d Hessian-vector products in one batch per evaluation), or a BFGS model.
-        max_evaluations: cap on evaluations of the objective.
-        tolerance: norm of the gradient to stop at.
-        initial_radius, max_radius: of the trust region, in the metric of the manifold.
-
-    Returns:
-        `Result`. Never raises on numerical trouble; see ``status``.
-    """
-    dim = manifold.dim
-
-    def trivialised(point: Point) -> Callable[[Float[Array, " d"]], tuple[Float[Array, ""], Float[Array, " d"]]]:
-        return jax.value_and_grad(lambda xi: objective(manifold.retract(point, xi), params))
-
-    def evaluate(point: Point) -> tuple[Float[Array, ""], Float[Array, " d"], Float[Array, "d d"]]:
-        zero = jnp.zeros(dim)
-        if hessian == "bfgs":
-            value, gradient = trivialised(point)(zero)
-            return value, gradient, jnp.eye(dim)
-        (value, gradient), push = jax.linearize(trivialised(point), zero)
-        _, rows = jax.vmap(push)(jnp.eye(dim))
-        return value, gradient, 0.5 * (rows + rows.T)
-
-    def body(state: _State) -> _State:
-        value, gradient, exact = evaluate(state.trial)
-        first = state.evaluations == 0
-        usable = jnp.isfinite(value) & jnp.isfinite(gradient).all() & jnp.isfinite(exact).all()
-        ratio = reduction_ratio(state.value, jnp.where(usable, value, jnp.nan), state.predicted)
-        accepted = usable & (first | (ratio > ACCEPT_RATIO))
-        step_norm = jnp.linalg.norm(state.step)
-        radius = jnp.where(first, state.radius, next_radius(ratio, state.radius, step_norm, state.hit, max_radius))
-
-        updates = state.updates
-        if hessian == "bfgs":
-            turn = manifold.transport(state.point, state.step, state.trial)
-            learn = usable & ~first & (step_norm > 0)
-            change = turn.T @ gradient - state.gradient
-            model = select(learn, bfgs_update(state.hessian, state.step, change, first=updates == 0), state.hessian)
-            updates = updates + learn
-            model = jnp.where(accepted, turn @ model @ turn.T, model)
-            model = jnp.where(first, jnp.eye(dim), model)
-        else:
-            model = jnp.where(accepted, exact, state.hessian)
-        point = select(accepted, state.trial, state.point)
-        value = jnp.where(accepted, value, state.value)
-        gradient = jnp.where(accepted, gradient, state.gradient)
-
-        step, hit = truncated_cg(gradient, model, radius)
-        predicted = -(gradient @ step + 0.5 * step @ model @ step)
-        evaluations = state.evaluations + 1
-        # A radius or predicted gain below rounding means no trial could be told from the current point.
-        exhausted = (radius < 1e-12) | (predicted <= 1e-3 * jnp.finfo(value.dtype).eps * jnp.abs(value))
-        status = jnp.select(
-            [first & ~usable, jnp.linalg.norm(gradient) <= tolerance, exhausted, evaluations >= max_evaluations],
-            [Status.NOT_FINITE, Status.CONVERGED, Status.STALLED, Status.BUDGET],
-            Status.RUNNING,
-        )
-        return _State(
-            trial=manifold.retract(point, step),
-            step=step,
-            predicted=predicted,
-            hit=hit,
-            point=point,
-            value=value,
-            gradient=gradient,
-            hessian=model,
-            radius=radius,
-            iterations=state.iterations + (accepted & ~first),
-            evaluations=evaluations,
-            updates=updates,
-            status=status,
-        )
-
-    start = jax.tree.map(jnp.asarray, start)
-    zero, count = jnp.zeros(()), jnp.asarray(0)
-    state = _State(
-        trial=start,
-        step=jnp.zeros(dim),
-        predicted=zero,
-        hit=jnp.asarray(False),
-        point=start,
-        value=jnp.full((), jnp.inf),
-        gradient=jnp.zeros(dim),
-        hessian=jnp.eye(dim),
-        radius=jnp.asarray(initial_radius, float),
-        iterations=count,
-        evaluations=count,
-        updates=count,
-        status=jnp.asarray(int(Status.RUNNING)),
-    )
-    end = jax.lax.while_loop(lambda s: s.status == Status.RUNNING, body, state)
-    return Result(
-        end.point, end.value, end.gradient, jnp.linalg.norm(end.gradient), end.iterations, end.evaluations, end.status
-    )
+def _to_boundary(step: Float[Array, " d"], direction: Float[Array, " d"], radius: Float[Array, ""]) -> Float[Array, ""]:
+    """Positive root τ of ‖step + τ direction‖ = radius, written without cancellation."""
+    a, b, c = direction @ direction, step @ direction, step @ step - radius**2
+    root = jnp.sqrt(jnp.maximum(b * b - a * c, 0.0))
+    return jnp.where(b > 0, -c / jnp.where(b > 0, b + root, 1.0), (root - b) / jnp.where(a > 0, a, 1.0))

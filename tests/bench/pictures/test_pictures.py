@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_bench.pictures import studio
 from regrasp_bench.pictures.basins import basins_picture
-from regrasp_bench.pictures.command import pictures
+from regrasp_bench.pictures.command import PicturesOptions, pictures
 from regrasp_bench.pictures.execution import execution_picture
 from regrasp_bench.pictures.poses import poses_picture
 from regrasp_bench.pictures.union import _cut, gripper_looks, union_picture
@@ -50,14 +50,14 @@ def test_what_is_put_somewhere_is_seen_there() -> None:
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1))
 def test_arrows_point_where_they_should(vector: list[float]) -> None:
     direction = np.array(vector) / np.linalg.norm(vector)
-    pose = studio.along(direction, np.array([1.0, 2.0, 3.0]))
+    pose = studio.pose_along(direction, np.array([1.0, 2.0, 3.0]))
     turn = Rotation.from_quat(pose[:4], scalar_first=True)
     assert turn.apply([0, 0, 1]) == pytest.approx(direction, abs=1e-6)
     assert pose[4:].tolist() == [1, 2, 3]
 
 
 def test_an_arrow_straight_down() -> None:
-    pose = studio.along(np.array([0.0, 0.0, -1.0]), np.zeros(3))
+    pose = studio.pose_along(np.array([0.0, 0.0, -1.0]), np.zeros(3))
     assert Rotation.from_quat(pose[:4], scalar_first=True).apply([0, 0, 1]) == pytest.approx([0, 0, -1])
 
 
@@ -80,10 +80,10 @@ def test_sheets_captions_and_margins() -> None:
     assert named.shape == (40, 30, 3)
     assert (named[:20] == dark).all()
     assert (named[20:] < 100).any()
-    assert studio.trimmed(sheet, margin=0).shape == sheet.shape
+    assert studio.cropped(sheet, margin=0).shape == sheet.shape
     framed = np.full((50, 60, 3), 255, np.uint8)
     framed[10:30, 20:50] = dark
-    assert studio.trimmed(framed, margin=5).shape == (30, 40, 3)
+    assert studio.cropped(framed, margin=5).shape == (30, 40, 3)
 
 
 def test_files_are_small_and_hold_the_picture(tmp_path: Path) -> None:
@@ -147,11 +147,11 @@ def test_stable_poses_of_objects_are_drawn_each_in_its_place() -> None:
 
 
 def test_the_command_writes_files_and_refuses_unknown_objects(tmp_path: Path) -> None:
-    pictures(("basins",), tmp_path, thing="061_foam_brick")
+    assert pictures(PicturesOptions(("basins",), tmp_path, thing="061_foam_brick")) == 0
     assert [file.name for file in tmp_path.iterdir()] == ["basins.png"]
     assert os.path.getsize(tmp_path / "basins.png") < 300_000
     with pytest.raises(OptionError, match=r"unknown object 'teapot'.*025_mug"):
-        pictures(("basins",), tmp_path, thing="teapot")
+        pictures(PicturesOptions(("basins",), tmp_path, thing="teapot"))
 
 
 @pytest.mark.slow

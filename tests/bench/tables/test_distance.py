@@ -18,6 +18,7 @@ from regrasp_bench.tables.distance import (
     GRADIENT,
     QUICK,
     THINNED,
+    DistanceOptions,
     compare,
     distance,
     random_pairs,
@@ -62,7 +63,7 @@ def test_exact_distances_are_those_of_the_difference_body() -> None:
 @pytest.mark.slow
 def test_a_run_reports_draws_and_resumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {"records": tmp_path / "d.jsonl", "json_file": tmp_path / "d.json", "plot_file": tmp_path / "d.svg"}
-    distance(vertices=(12, 70), pairs=24, rounds=2, **files)
+    assert distance(DistanceOptions(vertices=(12, 70), pairs=24, rounds=2, **files)) == 0
     report = json.loads(files["json_file"].read_text())
     assert report["crashed"] == {}
     assert list(report["vertices"]) == ["12", "70"]
@@ -78,7 +79,7 @@ def test_a_run_reports_draws_and_resumes(tmp_path: Path, capsys: pytest.CaptureF
     assert "µs per pair" in capsys.readouterr().out
 
     lines = files["records"].read_text()
-    distance(vertices=(70, 12), pairs=24, rounds=2, **files)
+    assert distance(DistanceOptions(vertices=(70, 12), pairs=24, rounds=2, **files)) == 0
     assert files["records"].read_text() == lines
     assert list(json.loads(files["json_file"].read_text())["vertices"]) == ["70", "12"]
 
@@ -105,5 +106,5 @@ def test_summary_counts_errors_by_group_and_names_crashes() -> None:
 
 def test_a_picture_in_no_known_format_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"\.svg"):
-        distance(plot_file=tmp_path / "d.jpeg", records=tmp_path / "d.jsonl")
+        distance(DistanceOptions(plot_file=tmp_path / "d.jpeg", records=tmp_path / "d.jsonl"))
     assert not (tmp_path / "d.jsonl").exists()

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import regrasp_gym
-from regrasp_bench.tables.plans import Checkout, compare
+from regrasp_bench.tables.checkouts import Checkout
+from regrasp_bench.tables.plans import compare
 from regrasp_gym.errors import BenchError, OptionError
 
 LIFT = "regrasp_gym/PandaYCBLift-v0"
@@ -30,7 +31,7 @@ def test_a_process_that_dies_is_told_with_its_last_words() -> None:
 
 
 def test_another_folder_is_no_checkout(tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match="no checkout"):
+    with pytest.raises(OptionError, match="not a checkout"):
         Checkout.other(tmp_path)
 
 

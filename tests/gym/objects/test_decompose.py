@@ -109,7 +109,7 @@ def test_pieces_that_can_not_be_kept_are_still_given(
 
 
 def test_what_coacd_can_not_do_is_said() -> None:
-    with pytest.raises(GeometryError, match=r"CoACD can not decompose the mesh of 0 faces.*take max_pieces=1"):
+    with pytest.raises(GeometryError, match=r"CoACD cannot decompose the mesh of 0 faces.*take max_pieces=1"):
         decompose._run_coacd(trimesh.creation.box().vertices, np.zeros((0, 3), int), 4, 0.05)
 
 

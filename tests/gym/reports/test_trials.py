@@ -1,8 +1,7 @@
-"""Trials of a benchmark: order, resuming, crashes, interruption, reports."""
+"""Trials: order, resuming, crashes, interruption."""
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import sys
@@ -10,13 +9,13 @@ import time
 from pathlib import Path
 
 import numbered_trials
-import numpy as np
 import psutil
 import pytest
 from numbered_trials import squares, unprepared
 
 from regrasp_gym.errors import BenchError
-from regrasp_gym.reports.trials import crashes, peer, read_records, run_trials, wilson, write_report
+from regrasp_gym.reports.files import read_lines
+from regrasp_gym.reports.trials import crashes, run_trials
 
 TRIALS = [3, 1, 4, 5]
 
@@ -41,7 +40,7 @@ def test_records_come_in_the_order_of_the_trials(workers: int, trace: Path, tmp_
     assert [record["square"] for record in records] == [9.0, 1.0, 16.0, 25.0]
     assert records[0]["range"] == [0, 1, 2]
     assert records[0]["setting"] == {"trace": str(trace), "options": [1, 2]}
-    assert sorted(read_records(file), key=lambda record: TRIALS.index(record["trial"])) == records
+    assert sorted(read_lines(file), key=lambda record: TRIALS.index(record["trial"])) == records
 
 
 def test_only_what_is_missing_is_run(trace: Path, tmp_path: Path) -> None:
@@ -81,7 +80,7 @@ def test_a_dead_worker_is_reported_and_nothing_done_is_lost(trace: Path, tmp_pat
     setting = {"trace": str(trace), "exits": 5}
     with pytest.raises(BenchError, match="run again"):
         run_trials(setting, [1, 2, 3, 4, 5], squares, workers=2, records=file, label="squares")
-    kept = [record["trial"] for record in read_records(file)]
+    kept = [record["trial"] for record in read_lines(file)]
     assert kept
     assert 5 not in kept
     run_trials(setting, kept, squares, workers=1, records=file, label="squares")
@@ -101,7 +100,7 @@ def test_an_interrupted_run_keeps_what_is_done(workers: int, trace: Path, tmp_pa
     command = [sys.executable, numbered_trials.__file__, str(trace), str(file), str(workers)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         deadline = time.monotonic() + 60
-        while len(read_records(file)) < 3:
+        while len(read_lines(file)) < 3:
             assert time.monotonic() < deadline
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
@@ -109,28 +108,11 @@ def test_an_interrupted_run_keeps_what_is_done(workers: int, trace: Path, tmp_pa
     assert process.returncode != 0
     for worker in {int(line) for one in trace.iterdir() for line in one.read_text().split()}:
         assert not psutil.pid_exists(worker)
-    kept = [record["trial"] for record in read_records(file)]
+    kept = [record["trial"] for record in read_lines(file)]
     assert 3 <= len(kept) < 40
     setting = {"trace": str(trace), "pause": 0.3}
     run_trials(setting, kept, squares, workers=1, records=file, label="squares")
     assert all(runs(trace)[trial] == 1 for trial in kept)
-
-
-def test_a_report_says_what_it_was_made_with(tmp_path: Path) -> None:
-    file = tmp_path / "results" / "report.json"
-    write_report(file, {"share": np.float32(0.5), "name": "squares"}, packages=("numpy",))
-    report = json.loads(file.read_text())
-    assert report["share"] == 0.5
-    assert report["versions"] == {"numpy": np.__version__}
-    assert "cores" in report["machine"]
-    write_report(None, {"anything": object()})
-
-
-def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
-    file = tmp_path / "report.json"
-    write_report(file, {"median": float("nan"), "limits": [np.inf, 1.0], "name": Path("a")}, packages=())
-    assert json.loads(file.read_text())["median"] is None
-    assert json.loads(file.read_text())["limits"] == [None, 1.0]
 
 
 def test_crashes_are_grouped_by_error(trace: Path, tmp_path: Path) -> None:
@@ -142,19 +124,3 @@ def test_crashes_are_grouped_by_error(trace: Path, tmp_path: Path) -> None:
         "ArithmeticError: trial 5 does not work": [5],
     }
     assert "numbered_trials" in records[2]["traceback"]
-
-
-@pytest.mark.parametrize(("count", "total"), [(0, 10), (3, 10), (10, 10), (120, 300)])
-def test_the_interval_is_where_the_score_test_rejects(count: int, total: int) -> None:
-    low, high = wilson(count, total)
-    assert 0 <= low <= count / total <= high <= 1
-    for share in {low, high} - {0.0, 1.0}:
-        if 1e-9 < share < 1 - 1e-9:
-            assert abs(count / total - share) == pytest.approx(1.959964 * np.sqrt(share * (1 - share) / total))
-    assert wilson(0, 0) == (0.0, 1.0)
-
-
-def test_a_missing_peer_names_the_extra() -> None:
-    assert peer("numpy") is np
-    with pytest.raises(BenchError, match=r"regrasp-gym\[bench\]"):
-        peer("no_such_peer")

@@ -1,17 +1,33 @@
-"""Augmented Lagrangian on problems with known solutions, and against scipy."""
+"""Augmented Lagrangian on problems with known solutions, and against scipy and pymanopt."""
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+import pymanopt
 import pytest
 import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from regrasp_planner.optim import SE3, Euclidean, Product, Sphere, Status, augmented_lagrangian
+from regrasp_planner.optim.augmented_lagrangian import Options, Stall, Status, augmented_lagrangian
+from regrasp_planner.optim.manifold import SE3, Euclidean, Product
 
 NONE = jnp.zeros(0)
+seeds = st.integers(0, 2**31 - 1)
+
+
+def free(objective):
+    """The problem without constraints."""
+    return lambda point, params: (objective(point, params), NONE, NONE)
+
+
+def on_the_sphere(count, seed=0):
+    """Random unit vectors (count, 3)."""
+    x = jax.random.normal(jax.random.key(seed), (count, 3))
+    return x / jnp.linalg.norm(x, axis=1, keepdims=True)
 
 
 def rosenbrock_above(x, params):
@@ -68,7 +84,7 @@ def test_hock_schittkowski(problem, start, optimum):
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**31 - 1))
+@given(seed=seeds)
 def test_quadratic_programs_agree_with_scipy(seed):
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(4, 4))
@@ -95,8 +111,8 @@ def test_quadratic_programs_agree_with_scipy(seed):
     assert oracle.success
     np.testing.assert_allclose(result.point, oracle.x, atol=1e-4)
     # Karush–Kuhn–Tucker: stationarity, signs, complementarity.
-    mu = result.inequality_multipliers
-    stationarity = h @ result.point + g - a.T @ result.equality_multipliers - c.T @ mu
+    mu = result.multipliers.inequalities
+    stationarity = h @ result.point + g - a.T @ result.multipliers.equalities - c.T @ mu
     np.testing.assert_allclose(stationarity, 0, atol=1e-4)
     assert np.all(mu >= 0)
     np.testing.assert_allclose(mu * (c @ result.point + b), 0, atol=1e-4)
@@ -108,7 +124,7 @@ def solve_quadratic_program(data):
         h, g, a, c, b = params
         return 0.5 * x @ h @ x + g @ x, a @ x, c @ x + b
 
-    return augmented_lagrangian(problem, jnp.zeros(4), Euclidean(4), params=data, max_evaluations=300)
+    return augmented_lagrangian(problem, jnp.zeros(4), Euclidean(4), Options(300), params=data)
 
 
 def test_cap_of_the_sphere():
@@ -117,10 +133,9 @@ def test_cap_of_the_sphere():
     axis = jnp.array([np.sin(tilt), 0.0, np.cos(tilt)])
 
     def problem(x, params):
-        return x[2], NONE, (x @ axis - jnp.cos(half_angle))[None]
+        return x[2], jnp.sum(x**2)[None] - 1, (x @ axis - jnp.cos(half_angle))[None]
 
-    starts = jax.vmap(Sphere().random_point)(jax.random.split(jax.random.key(0), 8))
-    result = jax.jit(jax.vmap(lambda x: augmented_lagrangian(problem, x, Sphere())))(starts)
+    result = jax.jit(jax.vmap(lambda x: augmented_lagrangian(problem, x, Euclidean(3))))(on_the_sphere(8))
     assert np.all(result.status == Status.CONVERGED)
     expected = [np.sin(tilt + half_angle), 0.0, np.cos(tilt + half_angle)]
     np.testing.assert_allclose(result.point, np.tile(expected, (8, 1)), atol=1e-5)
@@ -130,7 +145,7 @@ def test_pose_with_pinned_points_on_a_product():
     """A pose that maps p into the plane z = 0 and q onto a movable point (t, 0, 0), closest to a given pose."""
     manifold = Product((SE3(), Euclidean(1)))
     p, q = jnp.array([0.2, 0.1, 0.0]), jnp.array([-0.1, 0.2, 0.1])
-    goal = SE3().random_point(jax.random.key(4))
+    goal = jaxlie.SE3.sample_uniform(jax.random.key(4)).wxyz_xyz
 
     def problem(point, params):
         pose, t = point
@@ -160,11 +175,11 @@ def test_contradiction_is_reported_infeasible():
 
 
 def test_early_stop_at_a_feasible_point_saves_evaluations():
-    options = {"max_evaluations": 300, "gradient_tolerance": 1e-12, "constraint_tolerance": 1e-4}
+    options = Options(300, gradient_tolerance=1e-12, constraint_tolerance=1e-4)
     start = jnp.array([1.0, 5.0, 5.0, 1.0])
-    full = augmented_lagrangian(hock_schittkowski_71, start, Euclidean(4), **options)
+    full = augmented_lagrangian(hock_schittkowski_71, start, Euclidean(4), options)
     early = augmented_lagrangian(
-        hock_schittkowski_71, start, Euclidean(4), stall_decrease=1e-3, stall_steps=2, **options
+        hock_schittkowski_71, start, Euclidean(4), replace(options, stall=Stall(decrease=1e-3, steps=2))
     )
     assert int(early.status) == Status.STALLED
     assert int(early.evaluations) < int(full.evaluations)
@@ -173,9 +188,7 @@ def test_early_stop_at_a_feasible_point_saves_evaluations():
 
 
 def test_budget_returns_the_least_violating_point():
-    result = augmented_lagrangian(
-        hock_schittkowski_71, jnp.array([1.0, 5.0, 5.0, 1.0]), Euclidean(4), max_evaluations=3
-    )
+    result = augmented_lagrangian(hock_schittkowski_71, jnp.array([1.0, 5.0, 5.0, 1.0]), Euclidean(4), Options(3))
     assert int(result.status) == Status.BUDGET
     assert int(result.evaluations) == 3
 
@@ -204,3 +217,138 @@ def test_lockstep_equals_one_by_one():
     for i, start in enumerate(starts):
         np.testing.assert_array_equal(batch.evaluations[i], single(start).evaluations)
         np.testing.assert_allclose(batch.point[i], single(start).point, atol=1e-9)
+
+
+def spherical_rosenbrock(x, params):
+    return 20.0 * (x[1] - x[0] ** 2) ** 2 + (params - x[0]) ** 2 + x[2]
+
+
+def test_rosenbrock_on_the_sphere_agrees_with_pymanopt():
+    sphere = pymanopt.manifolds.Sphere(3)
+    gradient = jax.jit(jax.grad(spherical_rosenbrock))
+
+    @pymanopt.function.numpy(sphere)
+    def cost(x):
+        return float(spherical_rosenbrock(x, 1.0))
+
+    @pymanopt.function.numpy(sphere)
+    def euclidean_gradient(x):
+        return np.asarray(gradient(x, 1.0))
+
+    problem = pymanopt.Problem(sphere, cost, euclidean_gradient=euclidean_gradient)
+    oracle = pymanopt.optimizers.ConjugateGradient(verbosity=0, min_gradient_norm=1e-9, max_iterations=2000)
+    costs = [oracle.run(problem, initial_point=np.eye(3)[i]).cost for i in range(3)]
+
+    result = spherical_solver(on_the_sphere(16), 1.0)
+    assert np.all(result.status == Status.CONVERGED)
+    assert float(result.value.min()) == pytest.approx(min(costs), abs=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(result.point, axis=-1), 1.0, atol=1e-10)
+
+
+@jax.jit
+def spherical_solver(starts, params):
+    def problem(x, params):
+        return spherical_rosenbrock(x, params), jnp.sum(x**2)[None] - 1, NONE
+
+    options = Options(200, constraint_tolerance=1e-10, gradient_tolerance=1e-8)
+    return jax.vmap(lambda x: augmented_lagrangian(problem, x, Euclidean(3), options, params=params))(starts)
+
+
+def test_same_inputs_give_identical_results():
+    one, two = (spherical_solver(on_the_sphere(4, seed=3), 0.7) for _ in range(2))
+    jax.tree.map(np.testing.assert_array_equal, one, two)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds)
+def test_procrustes_on_se3(seed):
+    rng = np.random.default_rng(seed)
+    cloud = rng.normal(size=(12, 3)) * [1.0, 0.7, 0.4]
+    truth = jaxlie.SE3.sample_uniform(jax.random.key(seed))
+    seen = jax.vmap(lambda x: truth @ x)(cloud) + 0.01 * rng.normal(size=cloud.shape)
+
+    result = procrustes_solver(jnp.asarray(cloud), seen)
+    best = int(np.argmin(result.value))
+    # Kabsch's closed form.
+    a, b = cloud - cloud.mean(0), np.asarray(seen) - np.asarray(seen).mean(0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    rotation = vt.T @ np.diag([1, 1, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    pose = jaxlie.SE3(result.point[best])
+    np.testing.assert_allclose(pose.rotation().as_matrix(), rotation, atol=1e-6)
+    np.testing.assert_allclose(pose.translation(), np.asarray(seen).mean(0) - rotation @ cloud.mean(0), atol=1e-6)
+    assert int(result.evaluations[best]) < 60
+
+
+@jax.jit
+def procrustes_solver(cloud, seen):
+    """From eight starts at once."""
+
+    def misfit(pose, data):
+        moved = jax.vmap(lambda x: jaxlie.SE3(pose) @ x)(data[0])
+        return 0.5 * jnp.mean(jnp.sum((moved - data[1]) ** 2, axis=1))
+
+    options = Options(200, gradient_tolerance=1e-9)
+    starts = jax.vmap(lambda key: jaxlie.SE3.sample_uniform(key).wxyz_xyz)(jax.random.split(jax.random.key(1), 8))
+    return jax.vmap(lambda x: augmented_lagrangian(free(misfit), x, SE3(), options, params=(cloud, seen)))(starts)
+
+
+def test_euclidean_rosenbrock_needs_no_more_evaluations_than_scipy_bfgs():
+    def rosenbrock(x, params):
+        return jnp.sum(100.0 * (x[1:] - x[:-1] ** 2) ** 2 + (1.0 - x[:-1]) ** 2)
+
+    start = jnp.array([-1.2, 1.0, -1.2, 1.0])
+    result = augmented_lagrangian(free(rosenbrock), start, Euclidean(4), Options(200, max_inner=200))
+    grad = jax.jit(jax.grad(rosenbrock))
+    oracle = scipy.optimize.minimize(lambda x: float(rosenbrock(x, ())), start, jac=lambda x: np.asarray(grad(x, ())))
+    assert int(result.status) == Status.CONVERGED
+    np.testing.assert_allclose(result.point, oracle.x if oracle.fun < 1e-8 else 1.0, atol=1e-5)
+    assert int(result.evaluations) <= 1.5 * oracle.nfev
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds)
+def test_product_minimum_is_the_factors_minima(seed):
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=3)
+    center = jnp.asarray(rng.normal(size=2))
+    goal = jaxlie.SE3.sample_uniform(jax.random.key(seed))
+
+    result = product_solver(jnp.asarray(direction), center, goal)
+    x, pose, y = result.point
+    assert int(result.status) == Status.CONVERGED
+    np.testing.assert_allclose(x, -direction / np.linalg.norm(direction), atol=1e-6)
+    np.testing.assert_allclose(jaxlie.SE3(pose).as_matrix(), goal.as_matrix(), atol=1e-6)
+    np.testing.assert_allclose(y, center, atol=1e-6)
+
+
+@jax.jit
+def product_solver(direction, center, goal):
+    """A unit vector, a pose and a point of the plane."""
+
+    def problem(point, params):
+        x, pose, y = point
+        direction, center, goal = params
+        apart = jaxlie.SE3(pose).as_matrix() - goal.as_matrix()
+        return x @ direction + jnp.sum(apart**2) + jnp.sum((y - center) ** 2), jnp.sum(x**2)[None] - 1, NONE
+
+    # A start that is not antipodal to the goal, where the chordal distance has saddle points.
+    near = SE3().retract(goal.wxyz_xyz, jnp.array([0.5, -0.3, 0.2, 0.9, -0.8, 0.4]))
+    start = (jnp.array([0.6, 0.0, 0.8]), near, jnp.zeros(2))
+    manifold = Product((Euclidean(3), SE3(), Euclidean(2)))
+    return augmented_lagrangian(problem, start, manifold, params=(direction, center, goal))
+
+
+def test_statuses():
+    def bowl(x, params):
+        return jnp.sum((x - params) ** 2)
+
+    def solve(objective, start, params=(), max_evaluations=200):
+        options = Options(max_evaluations)
+        return augmented_lagrangian(free(objective), start, Euclidean(2), options, params=params).status
+
+    start = jnp.zeros(2)
+    assert solve(bowl, start, 1e3, max_evaluations=5) == Status.BUDGET
+    assert solve(bowl, start, 0.0) == Status.CONVERGED
+    assert solve(bowl, start, jnp.nan) == Status.NOT_FINITE
+    # A wall of NaN beside the start: steps into it are refused, the solver still reaches the minimum.
+    assert solve(lambda x, p: jnp.sum(x**2) + 0.0 * jnp.log(x[0] + 0.1), jnp.ones(2)) == Status.CONVERGED

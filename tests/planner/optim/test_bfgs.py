@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from regrasp_planner.optim import bfgs_update
+from regrasp_planner.optim.bfgs import bfgs_update
 
 seeds = st.integers(0, 2**31 - 1)
 update = jax.jit(bfgs_update)

@@ -1,7 +1,7 @@
-"""Inverse kinematics of the oracle: exhaustive rather than quick, and nothing of it shared with the planner's.
+"""Inverse kinematics of the oracle: exhaustive rather than quick, and independent of the planner's.
 
-Tens of thousands of random configurations are made once. Each wanted gripper pose starts from those whose gripper is
-nearest, so from many elbows and wrists at once, by damped least squares in NumPy; coal checks what comes out.
+Tens of thousands of random configurations are made once. For a gripper pose, damped least squares in NumPy starts from
+those whose gripper is nearest, and so from many elbows and wrists. Coal checks the solutions.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from regrasp_bench.oracle.antipodal import Hand
-from regrasp_bench.peers.coal_shapes import Posed, Shape, clear
+from regrasp_bench.oracle.antipodal import GripperShapes
+from regrasp_bench.peers.coal_shapes import PosedShapes, Shape, keeps_margins
 from regrasp_planner import Robot
 
 _RADIAN = 0.25
-"""Metres that count as much as a radian."""
+"""Length that weighs as much as a radian, metres."""
 
 
 @dataclass(frozen=True)
-class ReachOptions:
+class ExhaustiveIkOptions:
     """Effort of the inverse kinematics.
 
     Attributes:
-        bank: random configurations to start from.
-        starts: of these, how many per wanted pose.
-        iterations: of damped least squares.
-        accuracy: metres, and radians times a quarter of a metre, that a solution may be off.
-        margin: of the arm from obstacles, metres.
+        bank: number of random configurations to start from.
+        starts: number of these per gripper pose.
+        iterations: iterations of damped least squares.
+        accuracy: largest error of a solution, metres; radians count as a quarter of a metre each.
+        margin: margin of the arm from obstacles, metres.
     """
 
     bank: int = 40000
@@ -40,17 +40,22 @@ class ReachOptions:
     margin: float = 0.003
 
 
-class Reach:
-    """An arm: where it is, how it gets its gripper somewhere, and whether that is free of collision."""
+class ExhaustiveIk:
+    """Kinematics of an arm, forward and inverse, and its shapes for collision checks.
 
-    def __init__(self, robot: Robot, options: ReachOptions | None = None) -> None:
-        self.options = options or ReachOptions()
+    Args:
+        robot: the robot.
+        options: see `ExhaustiveIkOptions`.
+    """
+
+    def __init__(self, robot: Robot, options: ExhaustiveIkOptions | None = None) -> None:
+        self.options = options or ExhaustiveIkOptions()
         arm = robot.arm
         self.lower, self.upper = np.asarray(arm.lower), np.asarray(arm.upper)
         self._axes = np.asarray(arm.axes)
         self._origins = [_matrix(pose) for pose in np.asarray(arm.origins)]
         self._base, self._tool = _matrix(np.asarray(arm.base)), _matrix(np.asarray(arm.tool))
-        self.hand = Hand(robot.gripper)
+        self.gripper = GripperShapes(robot.gripper)
         self.links = [Shape.of(robot.links[i]) for i in range(robot.links.batch_size)]
         self.link_of = np.asarray(robot.link_of)
         self._self_pairs = np.asarray(robot.self_pairs)
@@ -79,13 +84,13 @@ class Reach:
     def nearest(
         self, rotations: Float[np.ndarray, "K 3 3"], positions: Float[np.ndarray, "K 3"]
     ) -> Int[np.ndarray, "K S"]:
-        """Rows of the bank to start from."""
+        """Rows of the bank whose grippers are nearest."""
         return np.asarray(self._tree.query(_features(rotations, positions), self.options.starts)[1])
 
     def solve(
         self, rotations: Float[np.ndarray, "K 3 3"], positions: Float[np.ndarray, "K 3"]
     ) -> tuple[Float[np.ndarray, "L n"], Int[np.ndarray, " L"]]:
-        """Configurations with the gripper at K poses: those found, and which pose each is of."""
+        """Configurations with the gripper at K poses, and the number of the pose of each."""
         q = self._bank[self.nearest(rotations, positions)].reshape(-1, len(self.lower))
         owner = np.repeat(np.arange(len(positions)), self.options.starts)
         q, reached = self.descend(q, rotations[owner], positions[owner], self.options.iterations)
@@ -94,7 +99,7 @@ class Reach:
     def descend(
         self, q: Float[np.ndarray, "L n"], rotations: np.ndarray, positions: np.ndarray, iterations: int
     ) -> tuple[Float[np.ndarray, "L n"], Bool[np.ndarray, " L"]]:
-        """Damped least squares, each configuration towards its own pose; which of them got there."""
+        """Damped least squares from each configuration towards its own pose; the results, and which are at the pose."""
         q = np.clip(q, self.lower, self.upper)
         reached = np.zeros(len(q), bool)
         going = np.arange(len(q))
@@ -125,23 +130,23 @@ class Reach:
         move /= np.maximum(1.0, np.abs(move).max(1, keepdims=True))
         return np.clip(q + move, self.lower, self.upper)
 
-    def arm(self, q: Float[np.ndarray, "N n"]) -> Posed:
-        """The bodies on the links that move, in N configurations."""
+    def arm(self, q: Float[np.ndarray, "N n"]) -> PosedShapes:
+        """The bodies on the moving links, in N configurations."""
         turns, shifts = self.forward(q)
         moving = self.link_of > 0
         shapes = [shape for shape, moves in zip(self.links, moving, strict=True) if moves]
-        return Posed(shapes, turns[:, self.link_of[moving]], shifts[:, self.link_of[moving]])
+        return PosedShapes(shapes, turns[:, self.link_of[moving]], shifts[:, self.link_of[moving]])
 
     def self_free(self, q: Float[np.ndarray, "N n"], thetas: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
         """Which configurations keep the robot clear of itself."""
         turns, shifts = self.forward(q)
-        hand = self.hand.at(turns[:, -1], shifts[:, -1], thetas)
-        whole = Posed(
-            [*self.links, *hand.shapes],
-            np.concatenate([turns[:, self.link_of], hand.rotations], 1),
-            np.concatenate([shifts[:, self.link_of], hand.positions], 1),
+        gripper = self.gripper.at(turns[:, -1], shifts[:, -1], thetas)
+        whole = PosedShapes(
+            [*self.links, *gripper.shapes],
+            np.concatenate([turns[:, self.link_of], gripper.rotations], 1),
+            np.concatenate([shifts[:, self.link_of], gripper.positions], 1),
         )
-        return clear(whole, whole, 0.0, self._self_pairs)
+        return keeps_margins(whole, whole, 0.0, self._self_pairs)
 
 
 def _matrix(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,5 +168,5 @@ def _error(turn: np.ndarray, shift: np.ndarray, goal_turn: np.ndarray, goal_shif
 
 
 def _features(rotations: np.ndarray, positions: np.ndarray) -> Float[np.ndarray, "N 12"]:
-    # The chord of two rotation matrices is √2 times their angle where that is small.
+    # The distance of two rotation matrices is √2 times their angle if that is small.
     return np.concatenate([positions, _RADIAN / np.sqrt(2) * rotations.reshape(len(rotations), 9)], axis=1)
