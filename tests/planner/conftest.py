@@ -5,9 +5,11 @@ from types import SimpleNamespace
 import jaxlie
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.geometry.support import ConvexBody
+from regrasp_planner.pose import rigid
 from regrasp_planner.robot.model import Arm, Gripper, Robot
 from regrasp_planner.task import Body, Obstacle, ReleaseArea, Scene, Task
 
@@ -162,3 +164,60 @@ def make_task(build, panda):
 def flipped_task(make_task, build):
     """The brick has to lie on the opposite side: what was below is above."""
     return make_task(build.lying_brick(0.5, 0.25, 0.3, upside_down=True))
+
+
+class CoalOracle:
+    """Distances of bodies by coal, metres."""
+
+    def __init__(self):
+        import coal
+
+        self._coal, self._shapes = coal, {}
+
+    def shape(self, body):
+        """The hull of a body without its sweep."""
+        vertices = body.hull_vertices()
+        key = vertices.tobytes()
+        if key not in self._shapes:
+            points, triangles = self._coal.StdVec_Vec3s(), self._coal.StdVec_Triangle()
+            points.extend(list(vertices))
+            simplices = ConvexHull(vertices).simplices
+            triangles.extend([self._coal.Triangle(*map(int, simplex)) for simplex in simplices])
+            self._shapes[key] = self._coal.Convex(points, triangles)
+        return self._shapes[key]
+
+    def placed(self, turn, position):
+        return self._coal.Transform3s(turn, position)
+
+    def gap(self, first, first_at, second, second_at):
+        """Distance of two shapes, 0 or less if they overlap."""
+        request, result = self._coal.DistanceRequest(), self._coal.DistanceResult()
+        return self._coal.distance(first, first_at, second, second_at, request, result)
+
+    def distance(self, first, first_pose, second, second_pose):
+        """Signed distance of two bodies."""
+        request, result = self._coal.DistanceRequest(), self._coal.DistanceResult()
+        request.enable_signed_distance = True
+        self._distance(first, first_pose, second, second_pose, request, result)
+        return result.min_distance - float(first.radius) - float(second.radius)
+
+    def nearest_points(self, first, first_pose, second, second_pose):
+        """The nearest points of two bodies that are apart."""
+        result = self._coal.DistanceResult()
+        self._distance(first, first_pose, second, second_pose, self._coal.DistanceRequest(), result)
+        return result.getNearestPoint1(), result.getNearestPoint2()
+
+    def normal(self, *pair):
+        """Unit normal from the first body to the second, which have to be apart."""
+        one, two = self.nearest_points(*pair)
+        return (two - one) / np.linalg.norm(two - one)
+
+    def _distance(self, first, first_pose, second, second_pose, request, result):
+        at = [self.placed(rigid(p).rotation.as_matrix(), np.asarray(p)[4:]) for p in (first_pose, second_pose)]
+        self._coal.distance(self.shape(first), at[0], self.shape(second), at[1], request, result)
+
+
+@pytest.fixture(scope="session")
+def coal_oracle():
+    """Distances by coal."""
+    return CoalOracle()

@@ -22,8 +22,8 @@ from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import Look, faceted, grid_surface, joined, revolve
 from regrasp_planner import stable_poses
 from regrasp_planner.geometry.hull import solid_center
+from regrasp_planner.placement.basins import release_cones
 from regrasp_planner.placement.stab_pose import fibonacci_sphere
-from regrasp_planner.placement.tilted_release import release_cones
 
 STONE = "stone"
 """Name of a random convex body, which is not a shipped object."""

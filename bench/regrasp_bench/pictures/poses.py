@@ -24,7 +24,7 @@ from regrasp_gym.objects import OBJECTS, ObjectModel
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import faceted
 from regrasp_planner import stable_poses
-from regrasp_planner.placement.tilted_release import release_cones
+from regrasp_planner.placement.basins import release_cones
 
 SHOWN = (
     "025_mug",

@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from regrasp_planner.collision.fixed_bodies import FixedBodies
 from regrasp_planner.geometry.hull import hull_planes, minimal_width
 from regrasp_planner.grasp.closing import Pads, Poses, clipped, close_fingers, reaches, soft_points
-from regrasp_planner.grasp.grasp import Grasp, GraspResult
+from regrasp_planner.grasp.grasp import Grasp, GraspResult, NoGraspReason
 from regrasp_planner.grasp.problem import graspable_parts, union_obstacles
 from regrasp_planner.pose import rigid
 from regrasp_planner.robot.gripper import finger_coordinate, reduce_gripper
@@ -76,11 +76,11 @@ def sample_grasps(
     """
     sampler = _Sampler(target, scenes, gripper, options or SamplingOptions())
     if sampler.narrowest >= float(gripper.upper):
-        return GraspResult((), 0, "too wide")
+        return GraspResult((), 0, NoGraspReason.TOO_WIDE)
     closed = sampler.closed(sampler.drawn(seed))
     grasps = sampler.best(closed)
-    reason = "" if grasps else "enclosed" if len(closed.theta) else "poor quality"
-    return GraspResult(grasps, sampler.options.count, reason)
+    reason = NoGraspReason.ENCLOSED if len(closed.theta) else NoGraspReason.POOR_QUALITY
+    return GraspResult(grasps, sampler.options.count, None if grasps else reason)
 
 
 class _Samples(NamedTuple):

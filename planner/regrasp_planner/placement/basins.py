@@ -1,10 +1,10 @@
-"""Cones of directions in which an object may be let go to settle into a stable pose (the paper's §III-C, Fig. 6).
+"""Cones of release directions from which an object settles into a stable pose (the paper's §III-C, Fig. 6).
 
-The paper fits its cones into alpha shapes of StabPose's starts (`alpha_shape_angles`). `release_cones` does without
-sampling: a convex body let go in direction x first falls on the facet that the ray along x from the centre of mass
+The paper inscribes its cones in alpha shapes of StabPose's starts (`alpha_shape_angles`). `release_cones` needs no
+sampling: a convex body released in direction x first falls on the facet that the ray along x from the centre of mass
 pierces, and topples on from there (Goldberg, Mirtich, Zhuang, Craig, Carlisle, Canny, IEEE T-RA 1999). So a basin is
-bounded by hull edges seen from the centre of mass, which are arcs of great circles, and the cone is exact. To that
-comes what a basin of steepest descent does not know: an object that falls from too high does not stop where it should.
+bounded by hull edges seen from the centre of mass, which are arcs of great circles, and the cone is exact. A bound on
+energy comes on top: an object that falls from too high rolls on, which a basin of steepest descent does not know.
 """
 
 from __future__ import annotations
@@ -21,29 +21,28 @@ WIDEST = np.deg2rad(80)
 """No cone is wider than this, radians."""
 
 ENERGY = 5.0
-"""How many times a pose's barrier an object may fall on its way into it, the drop included.
+"""Greatest fall of an object into a pose, the drop included, in multiples of the pose's barrier.
 
-Impacts leave it less than a fifth of that, too little to roll on. In 10,000 drops in MuJoCo, of 100 objects let go
-within their basins, 99.6 % rested in the pose predicted below 5, 89 % between 5 and 10, 65 % above."""
+Impacts leave less than a fifth of that energy, too little to roll on. In 10,000 drops in MuJoCo of 100 objects released
+within their basins, 99.6 % came to rest in the predicted pose below 5, 89 % between 5 and 10, and 65 % above."""
 
 STEADY = np.deg2rad(30)
-"""A pose that stands up to tilts of this angle has no such limit: none of 230 such drops above 4 went on rolling."""
+"""A pose that withstands tilts of this angle, radians, has no such limit: none of 230 such drops above 4 rolled on."""
 
 MARGIN = 0.05
-"""Angle kept from the rim of a basin, radians."""
+"""Angle between a cone and the rim of its basin, radians."""
 
 DROP = 0.002
-"""Height above the plane from which the object is let go, metres."""
+"""Height of the object above the plane at its release, metres."""
 
 
 @dataclass(frozen=True)
 class ReleaseCone:
-    """Directions in which the target may be let go to settle into one stable pose.
+    """Release directions from which the target settles into one stable pose.
 
     Attributes:
         axis: (3,) the stable direction x*, in the target's frame, unit, pointing down.
-        half_angle: radians; 0 where not even an object let go in the pose itself is sure to stay, or the basin is too
-            small.
+        half_angle: radians; 0 if the basin is too small, or an object released in the pose itself may not stay in it.
     """
 
     axis: Float[np.ndarray, " 3"]
@@ -56,10 +55,10 @@ def release_cones(
     """Cones K_k inscribed in the basins of attraction, one for each stable pose, in the same order.
 
     Args:
-        poses: of the target.
-        margin: angle kept from the rim of the basin, radians.
-        drop: height above the plane from which the target is let go, metres.
-        energy: how many times the pose's barrier the centre of mass may fall, the drop included.
+        poses: stable poses of the target.
+        margin: angle between a cone and the rim of its basin, radians.
+        drop: height of the target above the plane at its release, metres.
+        energy: greatest fall of the centre of mass, the drop included, in multiples of the pose's barrier.
     """
     angles = np.minimum(basin_angles(poses) - margin, energy_angles(poses, drop, energy))
     return tuple(
@@ -76,7 +75,7 @@ def basin_angles(poses: StablePoses) -> Float[np.ndarray, " m"]:
     axis = poses.directions[sides]
     normal = np.cross(first, second)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # The arc's nearest point is where the great circle is nearest, if that lies between the ends.
+    # The nearest point of an arc is that of its great circle if it lies between the ends, else the nearer end.
     beside = (axis * normal).sum(axis=1)
     foot = axis - beside[:, None] * normal
     between = ((np.cross(normal, first) * foot).sum(axis=1) > 0) & ((np.cross(second, normal) * foot).sum(axis=1) > 0)
@@ -90,26 +89,26 @@ def basin_angles(poses: StablePoses) -> Float[np.ndarray, " m"]:
 def energy_angles(poses: StablePoses, drop: float, energy: float) -> Float[np.ndarray, " m"]:
     """Half-angle (m,) of the cone about each stable direction in which h(x) + drop − h(x*) ≤ energy · barrier, radians.
 
-    π for poses that are `STEADY`, negative where the drop alone is too much. Over a cone of half-angle α a vertex v at
+    π for poses that are `STEADY`; negative if the drop alone is too much. Over a cone of half-angle α, a vertex v at
     angle φ from x* is at most |v| cos(max(φ − α, 0)) below the centre of mass, and h is the greatest of these.
     """
     limit = poses.height + energy * poses.barrier - drop
-    reach = np.linalg.norm(poses.corners, axis=1)
-    lean = _angle(poses.directions[:, None], poses.corners / reach[:, None])
-    ratio = limit[:, None] / reach
-    allowed = np.where(ratio < 1, lean - np.arccos(np.clip(ratio, -1.0, 1.0)), np.pi)
+    lengths = np.linalg.norm(poses.corners, axis=1)
+    angles = _angle(poses.directions[:, None], poses.corners / lengths[:, None])
+    ratio = limit[:, None] / lengths
+    allowed = np.where(ratio < 1, angles - np.arccos(np.clip(ratio, -1.0, 1.0)), np.pi)
     return np.where(np.arctan2(poses.margin, poses.height) >= STEADY, np.pi, allowed.min(axis=1))
 
 
 def alpha_shape_angles(poses: StablePoses, alpha: float | None = None) -> Float[np.ndarray, " m"]:
-    """Half-angle (m,) of the cone inscribed in the alpha shape of each basin's starts, radians; the paper's way.
+    """Half-angle (m,) of the cone inscribed in the alpha shape of each basin's starts, as in the paper, radians.
 
-    The starts that settle into a pose, and the pose itself, are taken into its tangent plane by the logarithm. The
-    alpha shape is the part of their Delaunay triangulation with circumradii up to ``alpha``; the cone reaches to the
-    nearest edge of it.
+    The starts that settle into a pose, and the pose itself, are mapped to its tangent plane by the logarithm. The alpha
+    shape is the part of their Delaunay triangulation with circumradii up to ``alpha``; the cone extends to its nearest
+    edge.
 
     Args:
-        poses: of the target.
+        poses: stable poses of the target.
         alpha: radians; by default twice the spacing of the starts.
     """
     largest = 2 * float(np.sqrt(4 * np.pi / len(poses.starts))) if alpha is None else alpha
@@ -124,7 +123,7 @@ def alpha_shape_angles(poses: StablePoses, alpha: float | None = None) -> Float[
 
 
 def _inscribed_radius(points: Float[np.ndarray, "N 2"], alpha: float) -> float:
-    """Distance of the first point from the boundary of the alpha shape; 0 where it does not lie inside."""
+    """Distance of the first point from the boundary of the alpha shape; 0 if it lies outside."""
     if len(points) < 4:
         return 0.0
     try:
@@ -151,7 +150,7 @@ def project(cone: ReleaseCone, x: Float[np.ndarray, "*batch 3"]) -> Float[np.nda
     across = x - (x @ axis)[..., None] * axis
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     beyond = np.arctan2(length[..., 0], x @ axis) > cone.half_angle
-    # Opposite to the axis all ways are as long; any will do.
+    # Opposite to the axis, all directions of the rim are equally near.
     other = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side = np.where(length > 1e-12, across / np.maximum(length, 1e-300), other / np.linalg.norm(other))
     rim = np.cos(cone.half_angle) * axis + np.sin(cone.half_angle) * side
@@ -159,5 +158,5 @@ def project(cone: ReleaseCone, x: Float[np.ndarray, "*batch 3"]) -> Float[np.nda
 
 
 def _angle(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-    """Angle between unit vectors, exact near 0 and π too, radians."""
+    """Angle between unit vectors, accurate near 0 and π, radians."""
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))

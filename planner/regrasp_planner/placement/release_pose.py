@@ -1,4 +1,4 @@
-"""Where in the release area the target is put down, how it is held when let go, and where it comes to rest."""
+"""Poses of the target in the release area: at rest, and at the release before it settles."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ def resting_poses(
     hull: Float[np.ndarray, "N 3"],
     rotation: Float[np.ndarray, "3 3"],
     yaws: int,
-    spots: Sequence[tuple[float, float]] = ((0.0, 0.0),),
+    release_positions: Sequence[tuple[float, float]] = ((0.0, 0.0),),
 ) -> list[Pose]:
-    """Poses in the release area in which the target rests on one side, at several turns about the vertical.
+    """Poses in the release area in which the target rests in one stable pose, at several turns about the vertical.
 
     Args:
-        area: where it may be put down.
+        area: the release area.
         hull: (N, 3) vertices of the target, metres.
         rotation: target to world, of the stable pose.
         yaws: number of turns, evenly spread.
-        spots: where the target stands: (x, y) from −1 to 1, as far as it can be moved within the area; 0 is its middle.
+        release_positions: (x, y) positions of the target from −1 to 1, as shares of the room it has to move within the
+            area; 0 is the middle.
 
     Returns:
-        Poses (7,), spot by spot, without those in which the target does not fit into the area.
+        Poses (7,), position by position, without those in which the target does not fit into the area.
     """
     poses: list[Pose] = []
-    for spot in spots:
+    for share in release_positions:
         for yaw in np.arange(yaws) * (2 * np.pi / yaws):
             turned = Rotation.from_euler("z", yaw) * Rotation.from_matrix(rotation)
             points = turned.apply(hull)
@@ -40,23 +41,24 @@ def resting_poses(
             room = area.half_extents - 0.5 * (high - low)[:2]
             if (room < 0).any():
                 continue
-            middle = area.center[:2] + room * spot
+            middle = area.center[:2] + room * share
             position = np.append(middle - 0.5 * (low + high)[:2], area.center[2] - low[2])
             poses.append(np.concatenate([turned.as_quat(scalar_first=True), position]))
     return poses
 
 
 def tilted_pose(settled: Pose, down: Float[np.ndarray, " 3"], hull: Float[np.ndarray, "N 3"], drop: float) -> Pose:
-    """The pose g_T^pre in which the target is let go so that it comes to rest in ``settled`` (g_T^post).
+    """Pose g_T^pre of the release after which the target settles into ``settled`` (g_T^post).
 
-    The target is turned the shortest way until ``down`` points down. It is taken to roll over the vertices it stands
-    on: the lowest vertex of the tilted target stays where it is.
+    The target is turned the shortest way until ``down`` points down, about its lowest vertex when tilted: it is assumed
+    to roll over the vertices it stands on.
 
     Args:
         settled: (7,) pose at rest.
-        down: (3,) unit direction in the target's frame; that of the pose at rest for a static release.
+        down: (3,) unit direction in the target's frame that points down at the release; for a static release that of
+            the pose at rest.
         hull: (N, 3) vertices of the target, metres.
-        drop: height above the ground from which it is let go, metres.
+        drop: height of the target above the ground at the release, metres.
     """
     resting = Rotation.from_quat(settled[:4], scalar_first=True)
     was, wanted = resting.apply(down), np.array([0.0, 0.0, -1.0])

@@ -1,15 +1,15 @@
 """StabPose: the poses in which a released object comes to rest on a horizontal plane.
 
-With x the direction, in the object's frame, that points down, the height of the centre of mass above the plane is the
-support function h(x) about the centre of mass. The object settles into local minima of h on the sphere (eq. (6), and
-Proposition 1 for the way there). h is smoothed to a DSF, minimised from many starts by Riemannian Newton steps within a
-trust region at rising sharpness, and tested by the Riemannian Hessian Pᵀ∇²hP − h·I (eq. (7), Algorithm 2).
+Let x be the direction, in the object's frame, that points down. The height of the centre of mass above the plane is the
+support function h(x) about the centre of mass, and the object settles into local minima of h on the sphere (eq. (6);
+Proposition 1 for the descent). h is smoothed to a DSF, minimised from many starts by Riemannian Newton steps within a
+trust region, and tested by the Riemannian Hessian Pᵀ∇²hP − h·I (eq. (7), Algorithm 2).
 
-A DSF at finite sharpness moves, and at low sharpness loses, minima. So a start is followed down only until it is clear
-on which facet of the exact hull the object falls, the one that the ray along it from the centre of mass pierces, and
-referred to the facet where toppling from there ends: the direction becomes the facet's normal, and the pose counts only
-if the foot of the centre of mass lies inside of the facet. Every such facet gets a start of its own beside the uniform
-ones, so that rare poses are not lost; one that no uniform start reaches has probability 0.
+A DSF at finite sharpness moves minima, and at low sharpness loses some. So descent from a start only decides on which
+facet of the exact hull the object falls: the one pierced by the ray along x from the centre of mass. The pose is the
+normal of the facet where toppling from there ends, and counts only if the foot of the centre of mass lies inside that
+facet. Every such facet also gets a start of its own, so that rare poses are not lost; a pose that no uniform start
+reaches has probability 0.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial import ConvexHull
 
 from regrasp_planner.batching import bucket_size
 from regrasp_planner.errors import GeometryError
@@ -29,14 +30,14 @@ from regrasp_planner.geometry.hull import Facets, facets, qhull
 from regrasp_planner.geometry.hull import center_of_mass as solid_center_of_mass
 
 SHARPNESS = 1026
-"""Lower ones lose poses with a low rim. There are no stages below it: they would lead across rims that they lose."""
+"""Lower values lose poses with a low rim, so there are no stages of lower sharpness."""
 
 LONGEST_STEP = 0.05
-"""Radians: short enough that a start keeps to the way of steepest descent and does not leap over a rim."""
+"""Longest step, radians: short enough to follow steepest descent without leaping over a rim."""
 
 EVALUATIONS = 10
 """Enough for the facets' own starts to converge, and for 98 % of the others to fall where steepest descent takes them.
-More would make no more of them agree: what the DSF rounds off, it rounds off near the end of the way."""
+More evaluations do not raise that share, as the DSF rounds h off near the end of the descent."""
 
 TOLERANCE = 0.1
 PATIENCE = 4
@@ -51,17 +52,16 @@ class StablePoses:
         directions: (m, 3) unit vectors x* in the object's frame that point down in the pose: normals of hull facets.
         rotations: (m, 3, 3) object to world, with third row −x* (eq. (5)).
         stability: (m,) least eigenvalue of the Riemannian Hessian of h at the minimiser (eq. (7)), metres per rad², at
-            sharpness `SHARPNESS`; 0 where the rim is so low that the DSF has no minimum. The poses are ranked by it.
+            sharpness `SHARPNESS`; 0 if the rim is so low that the DSF has no minimum. The poses are ranked by it.
         probability: (m,) share of the uniform starts that settle into the pose.
-        margin: (m,) distance of the centre of mass's foot from the rim of the support polygon, metres.
-        barrier: (m,) how far the centre of mass must rise for the object to roll into another pose, metres.
+        margin: (m,) distance between the foot of the centre of mass and the rim of the support polygon, metres.
+        barrier: (m,) energy barrier: rise of the centre of mass over the lowest rim into another pose, metres.
         height: (m,) height of the centre of mass above the plane, metres.
         starts: (k, 3) the uniform start directions.
         basin: (k,) index of the pose that each start settles into.
         corners: (V, 3) vertices of the hull, seen from the centre of mass, metres.
-        ridges: (r, 2, 3) ends of the hull's edges, seen from the centre of mass, that part what settles into one pose
-            from what settles into another, metres.
-        ridge_poses: (r, 2) index of the pose on either side of each ridge, −1 for one that was left out.
+        ridges: (r, 2, 3) ends of the hull's edges that separate two basins, seen from the centre of mass, metres.
+        ridge_poses: (r, 2) index of the pose on either side of each ridge; −1 for a pose that was left out.
     """
 
     directions: Float[np.ndarray, "m 3"]
@@ -90,44 +90,86 @@ def stable_poses(
     """Stable poses of the convex hull of ``vertices`` on a horizontal plane (Algorithm 2).
 
     Args:
-        vertices: (N, 3) points of the object, metres; the object may be non-convex, it stands on its hull.
-        center_of_mass: (3,) metres; default: of the uniform solid hull.
+        vertices: (N, 3) points of the object, metres; a non-convex object stands on its hull.
+        center_of_mass: (3,) metres; by default that of the uniform solid hull.
         starts: number of uniformly spread start directions.
-        min_margin: leave out poses whose support margin is not greater than this, metres.
+        min_margin: least support margin, exclusive, metres.
 
     Raises:
-        GeometryError: the vertices are no solid, the centre of mass is not inside of their hull, or ``starts`` < 1.
+        GeometryError: the vertices span no volume, the centre of mass is outside their hull, or ``starts`` < 1.
     """
     if starts < 1:
         raise GeometryError(f"starts is {starts}; give at least 1 start direction")
     hull = qhull(vertices)
+    center = _checked_center(hull, center_of_mass)
+    corners = hull.points[hull.vertices] - center
+    faces = facets(hull, center)
+    size = float(np.sqrt((corners**2).sum(axis=1).max()))
+    resting = np.flatnonzero(faces.margins > max(min_margin, 1e-9 * size))
+    uniform = fibonacci_sphere(starts)
+    facet, curvature = _descend(faces, resting, uniform, corners)
+
+    number, count = len(faces.normals), len(uniform)
+    sinks = _sinks(faces.topples_to)
+    facet = sinks[facet]
+    stability = np.zeros(number)
+    stability[resting] = np.where(facet[count:] == resting, np.maximum(curvature, 0.0), 0.0)
+    order = resting[np.argsort(-stability[resting], kind="stable")]
+    index = np.full(number, -1)
+    index[order] = np.arange(len(order))
+
+    basins = sinks[faces.edges]
+    ridges = basins[:, 0] != basins[:, 1]
+    lowest_pass = np.full(number, np.inf)
+    np.minimum.at(lowest_pass, basins[ridges], faces.passes[ridges, None])
+    return StablePoses(
+        directions=faces.normals[order],
+        rotations=rotation_to(faces.normals[order]),
+        stability=stability[order],
+        probability=np.bincount(facet[:count], minlength=number)[order] / count,
+        margin=faces.margins[order],
+        barrier=lowest_pass[order] - faces.heights[order],
+        height=faces.heights[order],
+        starts=uniform,
+        basin=index[facet[:count]],
+        corners=corners,
+        ridges=faces.edge_ends[ridges],
+        ridge_poses=index[basins[ridges]],
+    )
+
+
+def _checked_center(hull: ConvexHull, center_of_mass: Float[np.ndarray, " 3"] | None) -> Float[np.ndarray, " 3"]:
+    """The centre of mass, by default that of the uniform solid hull; raises ``GeometryError`` if it is not inside."""
     center = solid_center_of_mass(hull) if center_of_mass is None else np.asarray(center_of_mass, float)
     if center.shape != (3,) or not np.isfinite(center).all():
         raise GeometryError(f"centre of mass is {center_of_mass}; give three finite coordinates in metres")
     depth = -(hull.equations[:, :3] @ center + hull.equations[:, 3]).max()
-    offsets = hull.points[hull.vertices] - center
-    size = float(np.sqrt((offsets**2).sum(axis=1).max()))
+    size = np.linalg.norm(hull.points[hull.vertices] - center, axis=1).max()
     if depth <= 1e-6 * size:
         raise GeometryError(
-            f"centre of mass {center} is {-depth:.3g} m outside of the hull of the vertices; give it in their frame"
+            f"centre of mass {center} is {-depth:.3g} m outside the hull of the vertices; give it in their frame"
         )
-    faces = facets(hull, center)
-    resting = np.flatnonzero(faces.margins > max(min_margin, 1e-9 * size))
-    sinks = _sinks(faces.topples_to)
+    return center
 
-    uniform = fibonacci_sphere(starts)
-    begin = np.tile(uniform[0], (starts + bucket_size(max(len(resting), LEAST_EXTRA)), 1))
-    begin[:starts] = uniform
-    begin[starts : starts + len(resting)] = faces.normals[resting]
-    padded = np.zeros((bucket_size(len(offsets)), 3))
-    padded[: len(offsets)] = offsets
+
+def _descend(
+    faces: Facets, resting: Int[np.ndarray, " r"], uniform: Float[np.ndarray, "k 3"], corners: Float[np.ndarray, "V 3"]
+) -> tuple[Int[np.ndarray, " K"], Float[np.ndarray, " r"]]:
+    """Minimise the DSF from the uniform starts, then from the normals of the facets to rest on.
+
+    Returns:
+        (k + r,) the facet that each start falls onto, and (r,) the least eigenvalue of the Riemannian Hessian at the
+        end of each start from a facet, metres per rad².
+    """
+    count, own = len(uniform), slice(len(uniform), len(uniform) + len(resting))
+    begin = np.tile(uniform[0], (count + bucket_size(max(len(resting), LEAST_EXTRA)), 1))
+    begin[:count], begin[own] = uniform, faces.normals[resting]
+    padded = np.zeros((bucket_size(len(corners)), 3))
+    padded[: len(corners)] = corners
     ends, curvature = (np.asarray(out) for out in settle(padded.T, begin.T))
-
     along = ends.T @ faces.normals.T
-    facet = along.argmax(axis=1)
-    facet[:starts] = (along[:starts] / faces.heights).argmax(axis=1)
-    facet = sinks[facet]
-    return _ranked(faces, resting, sinks, facet, curvature, uniform, offsets)
+    pierced = (along[:count] / faces.heights).argmax(axis=1)
+    return np.concatenate([pierced, along[own].argmax(axis=1)]), curvature[own]
 
 
 @jax.jit
@@ -171,7 +213,7 @@ def settle(offsets: Float[Array, "3 V"], starts: Float[Array, "3 N"]) -> tuple[F
 
 
 def rotation_to(direction: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3 3"]:
-    """Rotation object to world that brings the unit ``direction`` straight down: its third row is −x* (eq. (5))."""
+    """Rotation from object to world that turns the unit ``direction`` straight down: its third row is −x* (eq. (5))."""
     up = -np.asarray(direction, float)
     sign = np.where(up[..., 2] >= 0, 1.0, -1.0)
     a = -1.0 / (sign + up[..., 2])
@@ -193,51 +235,10 @@ def fibonacci_sphere(count: int) -> Float[np.ndarray, "count 3"]:
 
 
 def _sinks(topples_to: Int[np.ndarray, " F"]) -> Int[np.ndarray, " F"]:
-    """The facet where toppling from each facet ends; each topple lowers the centre of mass, so it does end."""
+    """The facet where toppling from each facet ends. It does end, as each topple lowers the centre of mass."""
     sinks = topples_to
     while True:
-        further = sinks[sinks]
-        if (further == sinks).all():
+        following = sinks[sinks]
+        if (following == sinks).all():
             return sinks
-        sinks = further
-
-
-def _ranked(
-    faces: Facets,
-    resting: Int[np.ndarray, " r"],
-    sinks: Int[np.ndarray, " F"],
-    facet: Int[np.ndarray, " K"],
-    curvature: Float[np.ndarray, " K"],
-    uniform: Float[np.ndarray, "k 3"],
-    corners: Float[np.ndarray, "V 3"],
-) -> StablePoses:
-    count = len(uniform)
-    number = len(faces.normals)
-    own = slice(count, count + len(resting))
-    stability = np.zeros(number)
-    stability[resting] = np.where(facet[own] == resting, np.maximum(curvature[own], 0.0), 0.0)
-    hits = np.bincount(facet[:count], minlength=number)
-
-    first, second = sinks[faces.edges[:, 0]], sinks[faces.edges[:, 1]]
-    rim = first != second
-    lowest = np.full(number, np.inf)
-    np.minimum.at(lowest, first[rim], faces.passes[rim])
-    np.minimum.at(lowest, second[rim], faces.passes[rim])
-
-    order = resting[np.argsort(-stability[resting], kind="stable")]
-    index = np.full(number, -1)
-    index[order] = np.arange(len(order))
-    return StablePoses(
-        directions=faces.normals[order],
-        rotations=rotation_to(faces.normals[order]),
-        stability=stability[order],
-        probability=hits[order] / count,
-        margin=faces.margins[order],
-        barrier=lowest[order] - faces.heights[order],
-        height=faces.heights[order],
-        starts=uniform,
-        basin=index[facet[:count]],
-        corners=corners,
-        ridges=faces.edge_ends[rim],
-        ridge_poses=index[np.stack([first[rim], second[rim]], axis=1)],
-    )
+        sinks = following

@@ -1,9 +1,9 @@
-"""Non-static release (GraspGen⁺): tilt the plane under the target until the gripper clears it, within the basin.
+"""Non-static release (GraspGen⁺): tilt the plane under the target, within the basin, until the gripper clears it.
 
-Where the gripper would dip into the ground with the target in its stable pose, the target is let go tilted and settles
-into the pose by itself (the paper's Alg. 3). Three pieces make that work: cones of directions that settle into each
-pose (`basins`), the supporting plane nearest to the nominal one that the gripper clears (Prop. 2, eq. (9)), and whether
-the open fingers are in the way of the settling target.
+If the gripper would reach into the ground under a target in its stable pose, the target is released tilted and settles
+into the pose by itself (the paper's Alg. 3). That takes three things: cones of directions that settle into each pose
+(`basins`), the supporting plane nearest to the nominal one that the gripper clears (Prop. 2, eq. (9)), and a check that
+the open fingers do not block the settling target.
 """
 
 from __future__ import annotations
@@ -14,28 +14,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from regrasp_planner.geometry.hull import qhull
-from regrasp_planner.placement.basins import ReleaseCone, project, release_cones
-
-__all__ = [
-    "BLOCKED",
-    "ReleaseCone",
-    "perturbed_plane",
-    "plane_clearance",
-    "project",
-    "relaxed_release",
-    "release_cones",
-    "settling_clearance",
-]
+from regrasp_planner.geometry.hull import hull_planes, qhull
+from regrasp_planner.placement.basins import ReleaseCone, project
 
 SETTLING_STEPS = 4
-"""Angles looked at between the release and the stable pose."""
+"""Angles checked between the release and the stable pose."""
 
 BLOCKED = -0.1
 """Least `settling_clearance` of the fingers, as a share of the gripper's opening, at which a release counts as free.
 
-A finger that the target only brushes is shoved past. Of 164 tilted releases in MuJoCo from a Panda's hand (80 mm) with
-−8 mm or more all settled as predicted, of 66 with less only 73 %. The palm does no harm: it leaves before it lifts."""
+The target pushes past a finger that it only brushes. In MuJoCo, of 164 tilted releases from a Panda's hand (80 mm) with
+a clearance of −8 mm or more all settled as predicted; of 66 with less, 73 %. The palm does no harm: it retreats first.
+"""
 
 
 def plane_clearance(
@@ -43,8 +33,8 @@ def plane_clearance(
 ) -> Float[np.ndarray, "*batch"]:
     """Signed distance of the gripper from the plane with downward normal x that supports the target from below.
 
-    It is h_T(x) − h_C(x), on the exact hulls; negative where the gripper reaches into the plane. H of Proposition 2 is
-    this less the margin δ.
+    It is h_T(x) − h_C(x) on the exact hulls, negative if the gripper reaches into the plane. Less the margin δ, it is H
+    of Proposition 2.
 
     Args:
         target: (N, 3) vertices of the target, metres.
@@ -57,17 +47,17 @@ def plane_clearance(
 def relaxed_release(
     cone: ReleaseCone, target: Float[np.ndarray, "N 3"], gripper: Float[np.ndarray, "K G 3"], delta: float
 ) -> tuple[Float[np.ndarray, "K 3"], Bool[np.ndarray, " K"]]:
-    """Directions in which to let the target go so that each of K grippers clears the plane (Alg. 3, lines 9–12).
+    """Release directions in which each of K grippers clears the plane under the target (Alg. 3, lines 9–12).
 
     Args:
-        cone: of the stable pose.
+        cone: cone of the stable pose.
         target: (N, 3) vertices of the target, metres.
         gripper: (K, G, 3) vertices of the gripper's bodies in the target's frame, metres.
         delta: clearance wanted, metres.
 
     Returns:
-        (K, 3) unit directions x̃ in the cone, the axis where that is clear already, and (K,) whether the gripper clears
-        the plane by ``delta``. As the cone is round about the axis, there is no other direction in it where not.
+        (K, 3) unit directions x̃ in the cone, the axis if it is clear already, and (K,) whether the gripper clears the
+        plane by ``delta``. If not, no direction in the cone does, as the cone is round about the axis.
     """
     x = project(cone, perturbed_plane(target, gripper, cone.axis, delta, within=cone.half_angle))
     return x, plane_clearance(target, gripper, x) >= delta - _rounding(target)
@@ -79,16 +69,16 @@ def settling_clearance(
     axis: Float[np.ndarray, " 3"],
     x: Float[np.ndarray, "K 3"],
 ) -> Float[np.ndarray, " K"]:
-    """How far open fingers keep clear of the target while it settles from release directions ``x`` to ``axis``.
+    """Least clearance of open fingers from the target while it settles from release directions ``x`` to ``axis``.
 
-    The target turns about its lowest corner, the gripper stays where it is. At each of `SETTLING_STEPS` angles on the
-    way the distance is bounded from below along the normals of the facets of both; the true one is no smaller. A
-    finger that is in the way holds the target up, and takes it along or throws it over as it goes back: see `BLOCKED`.
+    The target turns about its lowest corner; the gripper stays where it is. At each of `SETTLING_STEPS` angles on the
+    way, the distance is bounded from below along the facet normals of both. A finger in the way holds the target up,
+    and drags or topples it on its retreat; see `BLOCKED`.
 
     Args:
         pieces: convex pieces of the target, (N, 3) vertices each, metres.
-        bodies: the fingers, opened to let go, (K, G, 3) vertices each in the target's frame, metres: the same convex
-            body at K poses, its vertices in the same order.
+        bodies: the opened fingers; for each (K, G, 3) vertices of the same convex body at K poses in the target's
+            frame, in the same order, metres.
         axis: (3,) unit stable direction.
         x: (K, 3) unit release directions.
 
@@ -100,27 +90,27 @@ def settling_clearance(
     turn = np.cross(x, axis)
     sine = np.linalg.norm(turn, axis=1)
     turn *= (np.arctan2(sine, x @ axis) / np.maximum(sine, 1e-12))[:, None]
-    outward = [_facet_normals(piece[None])[0] for piece in pieces]
-    own = [_facet_normals(body) for body in bodies]
+    piece_normals = [hull_planes(piece)[:, :3] for piece in pieces]
+    body_normals = [_facet_normals(body) for body in bodies]
     least = np.full(len(x), np.inf)
     for step in range(1, SETTLING_STEPS + 1):
-        # What the target's turning is in its own frame: the gripper turned the other way, about the same corner.
+        # In the target's frame, the gripper turns the other way about the same corner.
         back = np.swapaxes(Rotation.from_rotvec(step / SETTLING_STEPS * turn).as_matrix(), 1, 2)
-        for body, normals in zip(bodies, own, strict=True):
-            points, aside = (body - pivot) @ back + pivot, normals @ back
-            reach = np.einsum("kfi,kgi->kfg", aside, points).max(axis=2)
-            for piece, faces in zip(pieces, outward, strict=True):
-                above = (points @ faces.T).min(axis=1) - (piece @ faces.T).max(axis=0)
-                beyond = (aside @ piece.T).min(axis=2) - reach
-                least = np.minimum(least, np.maximum(above.max(axis=1), beyond.max(axis=1)))
+        for body, normals in zip(bodies, body_normals, strict=True):
+            points, turned = (body - pivot) @ back + pivot, normals @ back
+            support = np.einsum("kfi,kgi->kfg", turned, points).max(axis=2)
+            for piece, faces in zip(pieces, piece_normals, strict=True):
+                off_piece = (points @ faces.T).min(axis=1) - (piece @ faces.T).max(axis=0)
+                off_body = (turned @ piece.T).min(axis=2) - support
+                least = np.minimum(least, np.maximum(off_piece.max(axis=1), off_body.max(axis=1)))
     return least
 
 
 def _facet_normals(bodies: Float[np.ndarray, "K N 3"]) -> Float[np.ndarray, "K F 3"]:
-    """Outward unit normals of the facets of a hull at K poses; of facets that lie in one plane only one."""
+    """Outward unit normals of the facets of a hull at K poses; coplanar facets give one."""
     hull = qhull(bodies[0])
-    planes = hull.simplices[np.unique(hull.equations.round(6), axis=0, return_index=True)[1]]
-    a, b, c = (bodies[:, planes[:, i]] for i in range(3))
+    triangles = hull.simplices[np.unique(hull.equations.round(6), axis=0, return_index=True)[1]]
+    a, b, c = (bodies[:, triangles[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     inside = bodies.mean(axis=1, keepdims=True) - a
@@ -136,23 +126,23 @@ def perturbed_plane(
 ) -> Float[np.ndarray, "K 3"]:
     """The supporting planes nearest to the nominal one that each of K grippers clears by ``delta``: eq. (9), H(x) = 0.
 
-    H ≥ 0 where some vertex v of the target lies below all points g of the gripper by δ, (v − g)·x ≥ δ: for each v that
-    is an intersection of caps of the sphere. The nearest point of such an intersection is the nearest point of one cap
-    or a crossing of two rims. It is found for each v by adding the cap that is violated most, again and again (each
-    time the distance grows, so that it ends), beginning with the v that may give the least tilt; the v whose bounds
-    are beyond the best tilt found need not be looked at. So the solution is the nearest one of all, and exact.
+    H ≥ 0 if some vertex v of the target lies below all points g of the gripper by δ: (v − g)·x ≥ δ, which for each v is
+    an intersection of caps of the sphere. The nearest point of such an intersection is the nearest point of one cap or
+    a crossing of two rims. For each v, the most violated cap is added until none is violated; the distance grows with
+    each, so this ends. Vertices come in order of the least tilt they may allow, and those that cannot beat the best
+    tilt so far are skipped. So the solution is exact and the nearest of all.
 
     Args:
         target: (N, 3) vertices of the target, metres.
         gripper: (K, G, 3) vertices of the gripper's bodies in the target's frame, metres.
         axis: (3,) unit nominal direction.
         delta: clearance wanted, metres, not negative.
-        within: greatest tilt looked at, radians, at most 90°.
+        within: greatest tilt considered, radians, at most 90°.
 
     Returns:
-        (K, 3) unit directions x̃: ``axis`` where the plane is clear already. Where no plane tilted by less than
-        ``within`` is clear (the gripper reaches around the target below it), the direction in which at least the
-        gripper's lowest point would be, or ``axis`` if there is none.
+        (K, 3) unit directions x̃, ``axis`` if its plane is clear already. If no plane tilted by less than ``within`` is
+        clear (the gripper reaches around the target below it), the direction in which at least the gripper's lowest
+        point is clear, or ``axis`` if there is none.
     """
     x = np.tile(np.asarray(axis, float), (len(gripper), 1))
     rows = np.flatnonzero(plane_clearance(target, gripper, x) < delta)
@@ -162,10 +152,10 @@ def perturbed_plane(
 
 
 _CHUNK = 3
-"""Vertices of the target looked at together."""
+"""Vertices of the target tried together."""
 
 _ADDITIONS = 16
-"""Most caps added one after another; four or five do but for near ties, which are left out then."""
+"""Most caps added for one vertex; four or five suffice except for near ties, which are given up."""
 
 
 def _nearest_clear(
@@ -177,22 +167,22 @@ def _nearest_clear(
 ) -> Float[np.ndarray, "K 3"]:
     tolerance = 0.1 * _rounding(target)
     lowest = gripper[np.arange(len(gripper)), (gripper @ axis).argmax(axis=1)]
-    # The cosine that each vertex can give at best; one is worth looking at while that is above the best so far.
+    # Upper bound of the cosine that each vertex allows; a vertex is tried while that exceeds the best so far.
     bound = _cap_cosines(target, lowest, axis, delta)
     alone, value = _onto_cap((target[bound.argmax(axis=1)] - lowest)[:, None], axis, delta)
     best = np.where(value > 0, alone[:, 0], axis)
     best_cosine = np.full(len(gripper), least_cosine)
     while len(rows := np.flatnonzero(bound.max(axis=1) > best_cosine)):
-        some = np.argpartition(-bound[rows], min(_CHUNK, len(target) - 1), axis=1)[:, :_CHUNK]
-        x, found, active = _through_caps(target[some], gripper[rows], lowest[rows], axis, delta, tolerance)
+        chosen = np.argpartition(-bound[rows], min(_CHUNK, len(target) - 1), axis=1)[:, :_CHUNK]
+        x, found, active = _through_caps(target[chosen], gripper[rows], lowest[rows], axis, delta, tolerance)
         value = np.where(found, x @ axis, -1.0)
         own, winner = np.arange(len(rows)), value.argmax(axis=1)
         better = value[own, winner] > best_cosine[rows]
         best[rows[better]] = x[own, winner][better]
         best_cosine[rows[better]] = value[own, winner][better]
-        bound[rows[:, None], some] = -1.0
-        # The points of the gripper that bind this solution bind those of other vertices too.
-        for binding in np.moveaxis(target[some][own, winner][:, None] - active[own, winner], 1, 0):
+        bound[rows[:, None], chosen] = -1.0
+        # The gripper points that bind this solution also bind other vertices.
+        for binding in np.moveaxis(target[chosen][own, winner][:, None] - active[own, winner], 1, 0):
             tighter = _cap_cosines(target, binding, axis, delta)
             bound[rows] = np.fmin(bound[rows], tighter)
     return best
@@ -205,9 +195,9 @@ def _cap_cosines(
     square = (target * target).sum(axis=1) - 2 * g @ target.T + (g * g).sum(axis=1)[:, None]
     length = np.sqrt(np.maximum(square, 1e-300))
     along, level = (target @ axis - (g @ axis)[:, None]) / length, delta / length
-    # The angle between w and the axis less that between w and the rim of its cap.
-    apart = along * level + np.sqrt(np.maximum((1 - along**2) * (1 - level**2), 0.0))
-    return np.where(level >= 1, -1.0, np.where(along >= level, 1.0, apart))
+    # Angle between w and the axis, less that between w and the rim of its cap.
+    to_rim = along * level + np.sqrt(np.maximum((1 - along**2) * (1 - level**2), 0.0))
+    return np.where(level >= 1, -1.0, np.where(along >= level, 1.0, to_rim))
 
 
 def _through_caps(
@@ -220,8 +210,7 @@ def _through_caps(
 ) -> tuple[Float[np.ndarray, "K M 3"], Bool[np.ndarray, "K M"], Float[np.ndarray, "K M 2 3"]]:
     """Point nearest to the axis in all caps (v − g)·x ≥ δ, for each v, and whether there is one within 90°.
 
-    The cap of the gripper point ``lowest`` is the first one. The third array holds v − g of the caps that bind, NaN for
-    none.
+    The first cap is that of the gripper point ``lowest``. The third array holds v − g of the caps that bind, or NaN.
     """
     w = v - lowest[:, None]
     x, value = _onto_cap(w, axis, delta)
@@ -285,7 +274,7 @@ def _rim_crossings(
     aa, bb, ab = (a * a).sum(axis=1), (b * b).sum(axis=1), (a * b).sum(axis=1)
     normal = np.cross(a, b)
     square = (normal * normal).sum(axis=1)
-    # A NaN or a negative root stands for rims that do not meet.
+    # Rims that do not meet give NaN.
     with np.errstate(invalid="ignore", divide="ignore"):
         level = (delta * ((bb - ab)[:, None] * a + (aa - ab)[:, None] * b)) / square[:, None]
         rise = np.sqrt((1 - (level * level).sum(axis=1)) / square)[:, None] * normal
@@ -293,5 +282,5 @@ def _rim_crossings(
 
 
 def _rounding(target: Float[np.ndarray, "N 3"]) -> float:
-    """What clearances computed from these vertices may be off by, metres."""
+    """Rounding error of clearances computed from these vertices, metres."""
     return 1e-9 * float(np.abs(target).max())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from regrasp_planner.grasp.grasp import Grasp
+from regrasp_planner.grasp.grasp import Grasp, NoGraspReason
 from regrasp_planner.grasp.sampling import sample_grasps
 from regrasp_planner.stages.failures import most_advanced_failure, no_grasp, unreachable
 from regrasp_planner.stages.grasp_ik import GraspIk, with_flipped
@@ -41,9 +41,9 @@ def plan_sampled(stages: StageSearch) -> Outcome:
     size = SAMPLED_BATCH
     batches = (result.grasps[begin : begin + size] for begin in range(0, len(result.grasps), size))
     failure = Failure(
-        Reason.TOO_WIDE if result.reason == "too wide" else Reason.NO_COMMON_GRASP,
+        Reason.TOO_WIDE if result.reason is NoGraspReason.TOO_WIDE else Reason.NO_COMMON_GRASP,
         _KIND,
-        result.reason,
+        result.reason.value if result.reason else "",
         f"none of {result.evaluations} sampled grasps of {task.target.name!r} is feasible in pick and place",
     )
     return _first_stage(stages, batches) or failure

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
+from regrasp_planner.grasp.grasp import NoGraspReason
 from regrasp_planner.grasp.grasp_gen import GraspSearch
 from regrasp_planner.path.path_plan import PathResult
 from regrasp_planner.robot.model import Robot
@@ -55,17 +56,18 @@ def no_grasp(search: GraspSearch, kind: StageKind, where: str, unit: float) -> F
         unit: metres per unit of length of the search; see `Robot`.
     """
     name, reason = search.target.name, search.reason
-    if reason == "too wide":
+    if reason is NoGraspReason.TOO_WIDE:
         opening = 1e3 * float(search.gripper.max_opening) * unit
         message = f"{name!r} is wider in every direction than the gripper opens ({opening:.0f} mm)"
         return Failure(Reason.TOO_WIDE, kind, "finger limits", message)
-    if reason == "out of reach":
+    if reason is NoGraspReason.OUT_OF_REACH:
         return unreachable(search.target, kind)
-    if reason == "enclosed" and len(search.scenes) == 1:
+    if reason is NoGraspReason.ENCLOSED and len(search.scenes) == 1:
         message = f"no grasp of {name!r} keeps clear of the obstacles around it in the {where} scene"
         return Failure(Reason.ENCLOSED, kind, "world collision", message)
     message = f"no grasp of {name!r} keeps clear of the obstacles of {where} together"
-    return Failure(Reason.NO_COMMON_GRASP, kind, "world collision" if reason == "enclosed" else reason, message)
+    constraint = "world collision" if reason is NoGraspReason.ENCLOSED else reason.value
+    return Failure(Reason.NO_COMMON_GRASP, kind, constraint, message)
 
 
 def no_stable_pose(target: Body) -> Failure:

@@ -14,10 +14,11 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from regrasp_planner.grasp.grasp_gen import GraspSearch, Reachable
+from regrasp_planner.grasp.grasp_gen import GraspSearch
+from regrasp_planner.grasp.reachability import ReachabilityGrader
+from regrasp_planner.placement.basins import ReleaseCone, release_cones
 from regrasp_planner.placement.release_pose import resting_poses
 from regrasp_planner.placement.stab_pose import stable_poses
-from regrasp_planner.placement.tilted_release import ReleaseCone, release_cones
 from regrasp_planner.pose import Pose
 from regrasp_planner.stages.failures import no_grasp
 from regrasp_planner.stages.motion import LazyMotions
@@ -46,7 +47,7 @@ class Placement:
     upright: ReleaseCone
     tilted: ReleaseCone
     poses: tuple[Pose, ...]
-    reachable: Reachable
+    reachable: ReachabilityGrader
 
 
 Node = Terminal | Placement

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from regrasp_planner.grasp.grasp import Grasp, GraspGenOptions
-from regrasp_planner.grasp.grasp_gen import Found, GraspSearch
+from regrasp_planner.grasp.grasp import FeasibleGrasp, Grasp, GraspGenOptions
+from regrasp_planner.grasp.grasp_gen import GraspSearch
 from regrasp_planner.ik.ik_solve import Reachability, within_reach
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot.model import Robot
@@ -109,7 +109,7 @@ class StageSearch:
             known |= {keys[i]: int(grade) for i, grade in zip(new, grades, strict=True)}
         return np.array([known[key] for key in keys], int)
 
-    def candidates(self, batches: Iterator[list[Found]]) -> Iterator[list[GraspCandidate]]:
+    def candidates(self, batches: Iterator[list[FeasibleGrasp]]) -> Iterator[list[GraspCandidate]]:
         """Grasps as they are found, each with the fingers either way round."""
         for batch in self.clock.each("grasp_gen", batches):
             yield [

@@ -6,6 +6,7 @@ import trimesh
 
 from regrasp_planner import GeometryError
 from regrasp_planner.geometry import facets, mass_properties, minimal_width, qhull
+from regrasp_planner.geometry.hull import clip_lines, hull_planes
 
 CUBE = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
 
@@ -56,3 +57,30 @@ def test_minimal_width():
 def test_flat_points_are_refused():
     with pytest.raises(GeometryError, match="zero volume"):
         qhull(np.random.default_rng(0).normal(size=(30, 3)) @ np.diag([1.0, 1.0, 0.0]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lines_are_clipped_by_a_hull_where_they_pierce_it(seed):
+    """Just inside of both ends a point is in the hull, just outside it is not; lines that miss say so."""
+    rng = np.random.default_rng(seed)
+    hull = rng.normal(size=(25, 3))
+    planes = hull_planes(hull)
+    points = 1.5 * rng.normal(size=(40, 5, 3))
+    directions = rng.normal(size=(40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    enter, leave = clip_lines(points, directions, planes)
+    hit = np.isfinite(enter)
+    assert 20 < hit.sum() < 190
+    np.testing.assert_array_equal(hit, np.isfinite(leave))
+
+    def depth(t):
+        at = points + t[..., None] * directions[:, None]
+        return (planes[:, 3] - at @ planes[:, :3].T).min(axis=-1)
+
+    for end, inward in ((enter, 1e-6), (leave, -1e-6)):
+        safe = np.where(hit, end, 0.0)
+        assert (depth(safe + inward)[hit] > -1e-12).all()
+        assert (depth(safe - inward)[hit] < 1e-12).all()
+    along = np.linspace(-6, 6, 400)
+    inside = np.stack([depth(np.full(hit.shape, t)) for t in along]).max(axis=0)
+    assert (inside[~hit] < 0).all()
