@@ -103,13 +103,14 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     from regrasp_planner.grasp.grasp_gen import generate_grasps
     from regrasp_planner.path.options import PathOptions
     from regrasp_planner.path.space import ConfigurationSpace
-    from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+    from regrasp_planner.stages.collision_models import CollisionModels
+    from regrasp_planner.stages.options import MotionOptions
 
-    surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
-    worlds = [("random", surroundings.empty_handed(task.pick.target_pose), float(robot.gripper.upper))]
+    models = CollisionModels(robot, task.target, task.pick.obstacles, MotionOptions())
+    worlds = [("random", models.empty_handed(task.pick.target_pose), float(robot.gripper.upper))]
     grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
     if grasps:
-        worlds.append(("random, holding", surroundings.holding(grasps[0]), float(grasps[0].theta)))
+        worlds.append(("random, holding", models.holding(grasps[0]), float(grasps[0].theta)))
     queries: list[PathQuery] = []
     for kind, model, theta in worlds:
         space = ConfigurationSpace(model, theta)
