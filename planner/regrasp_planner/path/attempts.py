@@ -14,8 +14,8 @@ from regrasp_planner.path.clearance import Collision, PathClearance
 from regrasp_planner.path.guesses import initial_guesses, rank_guesses, retreats
 from regrasp_planner.path.optimizer import Rows, bspline, fit_control_points, optimize_path
 from regrasp_planner.path.options import PathOptions
-from regrasp_planner.path.query import PathQuery
 from regrasp_planner.path.polyline import inner_points
+from regrasp_planner.path.query import PathQuery
 from regrasp_planner.path.rrt import rrt_connect, shortcut
 from regrasp_planner.path.trajectory import Trajectory, joined, time_parametrize
 
@@ -124,9 +124,7 @@ def _optimized(
     return attempt
 
 
-def _searched(
-    query: PathQuery, clearance: PathClearance, rng: np.random.Generator, rounds: int
-) -> Iterator[Attempt]:
+def _searched(query: PathQuery, clearance: PathClearance, rng: np.random.Generator, rounds: int) -> Iterator[Attempt]:
     """A polyline found by RRT-Connect and shortened: optimised, or as it is, with a rest at each corner."""
     start, goal, space, options = query.start, query.goal, query.space, query.options
     branches = [line[::6] for q in (start, goal) for line in retreats(space, q)]

@@ -9,8 +9,8 @@ from regrasp_planner.ik.line import ArmKinematics
 from regrasp_planner.path.clearance import path_clearance
 from regrasp_planner.path.options import PathOptions
 from regrasp_planner.path.path_plan import PathStatus, cartesian_path, plan_path
-from regrasp_planner.path.rrt import rrt_connect
 from regrasp_planner.path.query import LineQuery, PathQuery
+from regrasp_planner.path.rrt import rrt_connect
 from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.robot.kinematics import forward_kinematics
 
@@ -119,7 +119,9 @@ def test_a_closed_cage_gives_no_path_and_says_what_is_in_the_way(robot, build):
     # Longer and higher than the arm reaches, before and behind it.
     wall = build.box_obstacle("wall", (3.0, 0.05, 3.0), (1.65, 0, 0.5))
     model = collision_model(robot, [wall, build.box_obstacle("rear", (3.0, 0.05, 3.0), (-1.65, 0, 0.5))])
-    result = plan_path(PathQuery(ConfigurationSpace(model, THETA), start, goal, PathOptions(search_rounds=5, max_guesses=2)))
+    result = plan_path(
+        PathQuery(ConfigurationSpace(model, THETA), start, goal, PathOptions(search_rounds=5, max_guesses=2))
+    )
     assert result.status is PathStatus.NO_PATH
     assert {"wall", "rear"} & set(result.bodies)
 
@@ -231,9 +233,9 @@ def test_the_gripper_keeps_to_the_line_and_its_orientation(robot, direction):
 
 
 def test_a_line_out_of_reach_says_how_far_it_got(robot):
-    result = cartesian_path(LineQuery(
-        ConfigurationSpace(collision_model(robot), THETA), np.asarray(robot.home), np.array([0.9, 0, 0])
-    ))
+    result = cartesian_path(
+        LineQuery(ConfigurationSpace(collision_model(robot), THETA), np.asarray(robot.home), np.array([0.9, 0, 0]))
+    )
     assert result.status is PathStatus.LINE_OUT_OF_REACH
     assert "mm" in result.message
     reached = ArmKinematics(robot.arm).gripper(result.configuration)[0]
