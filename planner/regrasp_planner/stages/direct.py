@@ -29,7 +29,7 @@ def plan_direct(stages: StageSearch) -> Outcome:
     search = stages.grasp_search(stages.options.grasp, task.pick, task.place)
     batches = ([found.grasp for found in batch] for batch in stages.clock.each("grasp_gen", search.grasps()))
     where = f"{task.pick.name} and {task.place.name}"
-    return _first_stage(stages, batches) or no_grasp(search, _KIND, where, stages.robot.unit)
+    return _first_stage(stages, batches) or no_grasp(search, _KIND, where, stages.robot)
 
 
 def plan_sampled(stages: StageSearch) -> Outcome:

@@ -46,18 +46,18 @@ def unreachable(target: Body, kind: StageKind, failed: Iterable[GraspIk] = ()) -
     return Failure(Reason.UNREACHABLE, kind, constraints[0][0] if constraints else "inverse kinematics", message)
 
 
-def no_grasp(search: GraspSearch, kind: StageKind, where: str, unit: float) -> Failure:
+def no_grasp(search: GraspSearch, kind: StageKind, where: str, robot: Robot) -> Failure:
     """Why a grasp search ended without a grasp.
 
     Args:
         search: the search.
         kind: the stage it was for.
         where: the scenes it was for, in words.
-        unit: metres per unit of length of the search; see `Robot`.
+        robot: the robot, for the opening of its gripper.
     """
     name, reason = search.target.name, search.reason
     if reason is NoGraspReason.TOO_WIDE:
-        opening = 1e3 * float(search.gripper.max_opening) * unit
+        opening = 1e3 * float(robot.gripper.max_opening) * robot.unit
         message = f"{name!r} is wider in every direction than the gripper opens ({opening:.0f} mm)"
         return Failure(Reason.TOO_WIDE, kind, "finger limits", message)
     if reason is NoGraspReason.OUT_OF_REACH:

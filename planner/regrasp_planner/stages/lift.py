@@ -81,7 +81,7 @@ def _lift(stages: StageSearch, known_grasps: Sequence[Grasp]) -> Stage | Failure
             failure = most_advanced_failure(failure, stage)
     if failure is None and search.ordered:
         return unreachable(stages.task.target, _KIND)
-    return failure or no_grasp(search, _KIND, stages.task.pick.name, stages.robot.unit)
+    return failure or no_grasp(search, _KIND, stages.task.pick.name, stages.robot)
 
 
 def _configurations(stages: StageSearch, batch: Sequence[Grasp]) -> list[GraspIk]:

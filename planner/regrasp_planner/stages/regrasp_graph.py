@@ -149,12 +149,12 @@ class RegraspGraph:
             found += batch
             if len(found) >= 2 * stages.options.grasps_kept:
                 break
-        failure = None if found else no_grasp(self._on_ground, kind, "both stable poses", stages.robot.unit)
+        failure = None if found else no_grasp(self._on_ground, kind, "both stable poses", stages.robot)
         return TransferGrasps(tuple(found), failure=failure)
 
     def _no_grasp(self, search: GraspSearch, kind: StageKind, scene: str) -> Failure:
         where = f"{scene} and release" if search.any_feasible else scene
-        return no_grasp(search, kind, where, self.stages.robot.unit)
+        return no_grasp(search, kind, where, self.stages.robot)
 
 
 def _least_tilted_first(candidates: Iterable[GraspCandidate], ground: ReleaseCone) -> tuple[GraspCandidate, ...]:

@@ -20,13 +20,11 @@ THETA = 0.03
 
 
 @pytest.fixture(scope="module", params=["empty", "holding"])
-def model(
-    request: pytest.FixtureRequest, empty_handed: CollisionModel, surroundings: CollisionModels
-) -> CollisionModel:
+def model(request: pytest.FixtureRequest, empty_handed: CollisionModel, models: CollisionModels) -> CollisionModel:
     if request.param == "empty":
         return empty_handed
     pose = np.append(Rotation.from_euler("xyz", [0.3, 0.2, 1.0]).as_quat(scalar_first=True), [0.01, 0.0, 0.02])
-    return surroundings.holding(Grasp(pose, THETA, 0.04, 1.0, 0.0))
+    return models.holding(Grasp(pose, THETA, 0.04, 1.0, 0.0))
 
 
 @pytest.fixture(scope="module")
