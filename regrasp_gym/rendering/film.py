@@ -1,4 +1,4 @@
-"""Films: pictures in sequence, as an MP4 file."""
+"""Films of pictures, as MP4 files."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from jaxtyping import UInt8
 
 
 def write_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: int) -> None:
-    """Write pictures as a film (H.264), whole or not at all.
+    """Write pictures as an H.264 film, whole or not at all.
 
-    The film grows beside ``path`` and is renamed at the end: an error midway leaves an older film as it was.
+    The film grows beside ``path`` and is renamed at the end, so an error midway keeps an older film.
 
     Args:
         path: .mp4 file to write; its folder is made.
-        pictures: at least one, all of one size; each is encoded as it comes.
+        pictures: at least one, all of one size, encoded one by one.
         fps: pictures per second.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -26,7 +26,7 @@ def write_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: 
     try:
         # H.264 stores colour for blocks of 2×2 pixels: odd sizes are scaled to even ones.
         writer = imageio.get_writer(unfinished, fps=fps, codec="libx264", macro_block_size=2)
-        # Used as a context manager itself, a writer stays open after an error.
+        # As a context manager a writer stays open after an error.
         with closing(writer):
             for picture in pictures:
                 writer.append_data(picture)  # type: ignore[attr-defined]

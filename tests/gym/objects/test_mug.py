@@ -16,7 +16,7 @@ from regrasp_gym.envs.panda_ycb import PANDA
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects import OBJECTS, solid
 from regrasp_gym.objects.shapes import lathe
-from regrasp_gym.scenes.graspable import over_a_part
+from regrasp_gym.scenes.graspable import graspable_by_part
 from regrasp_gym.scenes.resting import resting_poses, upright_pose
 from regrasp_gym.scenes.table_shelf import make_scene
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig, check_target
@@ -83,9 +83,9 @@ def test_stable_poses_are_those_of_the_hull_of_the_whole() -> None:
 
 
 def test_it_counts_as_graspable_and_solid_things_of_its_size_do_not() -> None:
-    assert all(over_a_part(MUG, pose, OPENING) for pose in resting_poses(MUG))
+    assert all(graspable_by_part(MUG, pose, OPENING) for pose in resting_poses(MUG))
     block = solid("block", "block", 0.3, [lathe([(46.5e-3, 0), (46.5e-3, 81e-3)], 24)])
-    assert not any(over_a_part(block, pose, OPENING) for pose in resting_poses(block))
+    assert not any(graspable_by_part(block, pose, OPENING) for pose in resting_poses(block))
     check_target(MUG, TableShelfConfig())
     with pytest.raises(SceneError, match="'block' is 81 mm wide"):
         check_target(block, TableShelfConfig())
@@ -107,8 +107,8 @@ def test_a_wall_that_no_finger_gets_behind_does_not_count() -> None:
         )
         for ring in rings
     )
-    assert over_a_part(open_, upright_pose(open_), OPENING)
-    assert not over_a_part(narrow, upright_pose(narrow), OPENING)
+    assert graspable_by_part(open_, upright_pose(open_), OPENING)
+    assert not graspable_by_part(narrow, upright_pose(narrow), OPENING)
 
 
 def test_scenes_may_ask_for_it_and_the_default_ones_do_not() -> None:
