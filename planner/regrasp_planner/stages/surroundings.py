@@ -11,11 +11,11 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_planner.collision.model import IDENTITY, CollisionModel, collision_model
+from regrasp_planner.collision.model import CollisionModel, collision_model
 from regrasp_planner.grasp.grasp import Grasp
 from regrasp_planner.ik.ik_solve import solve_ik
 from regrasp_planner.path.options import PathOptions
-from regrasp_planner.pose import Pose, rigid, wxyz_xyz
+from regrasp_planner.pose import IDENTITY, Pose, rigid, wxyz_xyz
 from regrasp_planner.robot.model import Robot
 from regrasp_planner.task import Body, Obstacle
 
