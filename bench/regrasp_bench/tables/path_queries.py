@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from regrasp_planner.path.options import PathOptions
     from regrasp_planner.path.path_plan import PathResult
     from regrasp_planner.path.space import ConfigurationSpace
+    from regrasp_planner.stages.motion import Configuration
 
 KINDS = ("planned", "planned, holding", "random", "random, holding")
 _ATTEMPTS = 1000
@@ -56,41 +57,28 @@ def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[PathQuery], li
     """All path queries of one plan of a scene, answered or not, and all straight lines that the planner found."""
     from regrasp_planner import plan
 
-    recorder = _Recorder()
-    plan(env.task(), env.planner_robot, strategy, options=env.plan_options(), observer=recorder)
+    options = env.plan_options()
+    recorder = _Recorder(options.motion.path)
+    plan(env.task(), env.planner_robot, strategy, options=options, observer=recorder)
     return recorder.queries, recorder.lines
 
 
 class _Recorder:
     """A `regrasp_planner.stages.motion.PathObserver` that keeps all path queries and all lines found."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: PathOptions) -> None:
+        self._options = options
         self.queries: list[PathQuery] = []
         self.lines: list[CartesianPath] = []
 
-    def on_path(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        goal: Float[np.ndarray, " n"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
+    def on_path(self, space: ConfigurationSpace, start: Configuration, goal: Configuration, result: PathResult) -> None:
         """Keep the query."""
         del result
         kind = "planned, holding" if "held" in space.model.body_names else "planned"
-        self.queries.append(PathQuery(kind, space, start, goal, options))
+        self.queries.append(PathQuery(kind, space, start, goal, self._options))
 
-    def on_line(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        displacement: Float[np.ndarray, " 3"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
+    def on_line(self, space: ConfigurationSpace, result: PathResult) -> None:
         """Keep the line, if there is one."""
-        del start, displacement, options
         if result.trajectory is not None:
             self.lines.append(CartesianPath(space, result.trajectory))
 

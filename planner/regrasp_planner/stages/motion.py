@@ -6,7 +6,7 @@ first, from the configurations at the grasp outwards, since they fail soonest; t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
 from typing import NamedTuple, Protocol
@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
-from regrasp_planner.path.options import PathOptions
 from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
 from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
@@ -26,30 +25,19 @@ from regrasp_planner.stages.failures import no_path, unreachable
 from regrasp_planner.stages.grasp_ik import GraspIk
 from regrasp_planner.stages.plan import Failure, Segment, SegmentKind, Stage, StageKind
 
+Configuration = Float[np.ndarray, " n"]
+"""A configuration of the arm, (n,) radians."""
+
 
 class PathObserver(Protocol):
     """Told of every query of PathPlan and its result. Lengths are at the planner's scale (`stages.scale`)."""
 
-    def on_path(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        goal: Float[np.ndarray, " n"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
-        """After `plan_path`, with its arguments."""
+    def on_path(self, space: ConfigurationSpace, start: Configuration, goal: Configuration, result: PathResult) -> None:
+        """After `plan_path` between two configurations."""
         ...
 
-    def on_line(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        displacement: Float[np.ndarray, " 3"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
-        """After `cartesian_path`, with its arguments."""
+    def on_line(self, space: ConfigurationSpace, result: PathResult) -> None:
+        """After `cartesian_path`, a straight line of the gripper."""
         ...
 
 
@@ -110,6 +98,14 @@ class _Lines(NamedTuple):
     opening: float
     lift: Trajectory
 
+    def pick(self) -> ApproachDepart:
+        """To the target with the empty gripper, and up with the target."""
+        return ApproachDepart(self.withdraw.reversed(), self.lift, self.opening)
+
+    def place(self) -> ApproachDepart:
+        """Down with the target, and off it with the empty gripper."""
+        return ApproachDepart(self.lift.reversed(), self.withdraw, self.opening)
+
 
 class StageMotion:
     """Plans the motion of stages.
@@ -128,24 +124,22 @@ class StageMotion:
     def pick_motions(self, kind: StageKind, ik: GraspIk) -> LazyMotions:
         """Approach and lift at the pick."""
         tried = self._lines(kind, ik, (ik.grasp.opening,), self.options.lift, (SegmentKind.APPROACH, SegmentKind.LIFT))
-        motions = (
-            lines
-            if isinstance(lines, Failure)
-            else ApproachDepart(lines.withdraw.reversed(), lines.lift, lines.opening)
-            for lines in tried
-        )
-        return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
+        return self._motions(kind, ik, tried, _Lines.pick)
 
     def place_motions(self, kind: StageKind, ik: GraspIk, wide: bool = False) -> LazyMotions:
         """Lowering and retreat at the release; ``wide``: with the fingers opened all the way if there is room."""
         openings = (float(self._gripper.upper), ik.grasp.opening) if wide else (ik.grasp.opening,)
         tried = self._lines(kind, ik, openings, self.options.lower, (SegmentKind.RETREAT, SegmentKind.LOWER))
-        motions = (
-            lines
-            if isinstance(lines, Failure)
-            else ApproachDepart(lines.lift.reversed(), lines.withdraw, lines.opening)
-            for lines in tried
-        )
+        return self._motions(kind, ik, tried, _Lines.place)
+
+    def _motions(
+        self,
+        kind: StageKind,
+        ik: GraspIk,
+        tried: Iterator[_Lines | Failure],
+        motion: Callable[[_Lines], ApproachDepart],
+    ) -> LazyMotions:
+        motions = (lines if isinstance(lines, Failure) else motion(lines) for lines in tried)
         return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
 
     def connect(
@@ -154,7 +148,7 @@ class StageMotion:
         pick: LazyMotions,
         place: LazyMotions,
         settled_pose: Pose,
-        start: Float[np.ndarray, " n"],
+        start: Configuration,
     ) -> Stage | Failure:
         """The stage from a pick to a place, or why there is none.
 
@@ -190,7 +184,7 @@ class StageMotion:
         return failure
 
     def pick_segments(
-        self, kind: StageKind, ik: GraspIk, motion: ApproachDepart, start: Float[np.ndarray, " n"]
+        self, kind: StageKind, ik: GraspIk, motion: ApproachDepart, start: Configuration
     ) -> tuple[Segment, ...] | Failure:
         """Transit from ``start``, approach, close and lift; or why there is no transit."""
         opening, closed = ik.grasp.opening, float(self._gripper.lower)
@@ -254,7 +248,7 @@ class StageMotion:
         return [length * direction for length in self.options.approach for direction in directions]
 
     def _line(
-        self, q: Float[np.ndarray, " n"], tries: Iterable[tuple[ConfigurationSpace, Float[np.ndarray, " 3"]]]
+        self, q: Configuration, tries: Iterable[tuple[ConfigurationSpace, Float[np.ndarray, " 3"]]]
     ) -> tuple[PathResult, float]:
         """The first straight line from q that works, otherwise the last that did not; and its finger coordinate.
 
@@ -269,19 +263,17 @@ class StageMotion:
             with self.clock("path_plan"):
                 result = cartesian_path(space, q, displacement, self.options.path)
             if self.observer is not None:
-                self.observer.on_line(space, q, displacement, self.options.path, result)
+                self.observer.on_line(space, result)
             if result.trajectory is not None:
                 break
         assert result is not None
         return result, theta
 
-    def _path(
-        self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
-    ) -> PathResult:
+    def _path(self, model: CollisionModel, start: Configuration, goal: Configuration, theta: float) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``."""
         space = ConfigurationSpace(model, theta)
         with self.clock("path_plan"):
             result = plan_path(space, start, goal, self.options.path, self.seed)
         if self.observer is not None:
-            self.observer.on_path(space, start, goal, self.options.path, result)
+            self.observer.on_path(space, start, goal, result)
         return result
