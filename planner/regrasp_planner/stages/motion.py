@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
 from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.query import LineQuery, PathQuery
 from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
@@ -25,19 +26,16 @@ from regrasp_planner.stages.failures import no_path, unreachable
 from regrasp_planner.stages.grasp_ik import GraspIk
 from regrasp_planner.stages.plan import Failure, Segment, SegmentKind, Stage, StageKind
 
-Configuration = Float[np.ndarray, " n"]
-"""A configuration of the arm, (n,) radians."""
-
 
 class PathObserver(Protocol):
     """Told of every query of PathPlan and its result. Lengths are at the planner's scale (`stages.scale`)."""
 
-    def on_path(self, space: ConfigurationSpace, start: Configuration, goal: Configuration, result: PathResult) -> None:
-        """After `plan_path` between two configurations."""
+    def on_path(self, query: PathQuery, result: PathResult) -> None:
+        """Called after each `plan_path`."""
         ...
 
-    def on_line(self, space: ConfigurationSpace, result: PathResult) -> None:
-        """After `cartesian_path`, a straight line of the gripper."""
+    def on_line(self, query: LineQuery, result: PathResult) -> None:
+        """Called after each `cartesian_path`."""
         ...
 
 
@@ -148,7 +146,7 @@ class StageMotion:
         pick: LazyMotions,
         place: LazyMotions,
         settled_pose: Pose,
-        start: Configuration,
+        start: Float[np.ndarray, " n"],
     ) -> Stage | Failure:
         """The stage from a pick to a place, or why there is none.
 
@@ -184,7 +182,7 @@ class StageMotion:
         return failure
 
     def pick_segments(
-        self, kind: StageKind, ik: GraspIk, motion: ApproachDepart, start: Configuration
+        self, kind: StageKind, ik: GraspIk, motion: ApproachDepart, start: Float[np.ndarray, " n"]
     ) -> tuple[Segment, ...] | Failure:
         """Transit from ``start``, approach, close and lift; or why there is no transit."""
         opening, closed = ik.grasp.opening, float(self._gripper.lower)
@@ -248,7 +246,7 @@ class StageMotion:
         return [length * direction for length in self.options.approach for direction in directions]
 
     def _line(
-        self, q: Configuration, tries: Iterable[tuple[ConfigurationSpace, Float[np.ndarray, " 3"]]]
+        self, q: Float[np.ndarray, " n"], tries: Iterable[tuple[ConfigurationSpace, Float[np.ndarray, " 3"]]]
     ) -> tuple[PathResult, float]:
         """The first straight line from q that works, otherwise the last that did not; and its finger coordinate.
 
@@ -260,20 +258,23 @@ class StageMotion:
         theta = 0.0
         for space, displacement in tries:
             theta = space.theta
+            query = LineQuery(space, q, displacement, self.options.path)
             with self.clock("path_plan"):
-                result = cartesian_path(space, q, displacement, self.options.path)
+                result = cartesian_path(query)
             if self.observer is not None:
-                self.observer.on_line(space, result)
+                self.observer.on_line(query, result)
             if result.trajectory is not None:
                 break
         assert result is not None
         return result, theta
 
-    def _path(self, model: CollisionModel, start: Configuration, goal: Configuration, theta: float) -> PathResult:
+    def _path(
+        self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
+    ) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``."""
-        space = ConfigurationSpace(model, theta)
+        query = PathQuery(ConfigurationSpace(model, theta), start, goal, self.options.path)
         with self.clock("path_plan"):
-            result = plan_path(space, start, goal, self.options.path, self.seed)
+            result = plan_path(query, self.seed)
         if self.observer is not None:
-            self.observer.on_path(space, start, goal, result)
+            self.observer.on_path(query, result)
         return result
