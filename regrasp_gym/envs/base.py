@@ -245,8 +245,6 @@ class RegraspEnv(gymnasium.Env):
     ) -> Plan:
         """The planner's plan of the task from the present state: what the expert follows. See `regrasp_planner.plan`.
 
-        Environments whose goal is not a place to put something down plan in their own way.
-
         Args:
             strategy: see `regrasp_planner.Strategy`.
             seed: seed of the random starts.
@@ -254,9 +252,15 @@ class RegraspEnv(gymnasium.Env):
             known_grasps: tried before any are generated.
         """
         # Imported here because it loads JAX, which stepping an environment does not need.
+        from regrasp_planner import Strategy
+
+        return self._plan(Strategy(strategy), seed, options or self.plan_options(), known_grasps)
+
+    def _plan(self, strategy: Strategy, seed: int, options: PlanOptions, known_grasps: Sequence[Grasp]) -> Plan:
+        """For environments to override whose goal is not a place to put something down."""
         from regrasp_planner import plan
 
-        return plan(self.task(), self.planner_robot, strategy, seed, options or self.plan_options(), known_grasps)
+        return plan(self.task(), self.planner_robot, strategy, seed, options, known_grasps)
 
     def plan_options(self) -> PlanOptions:
         """How much effort the planner makes in these scenes."""

@@ -104,16 +104,9 @@ class PandaYCBLiftEnv(RegraspEnv):
     def __init__(self, scene_config: LiftConfig | None = None, **arguments: Any) -> None:
         super().__init__(PANDA_LIFT, scene_config=scene_config or LiftConfig(), **arguments)
 
-    def plan(
-        self,
-        strategy: Strategy | str,
-        seed: int = 0,
-        options: PlanOptions | None = None,
-        known_grasps: Sequence[Grasp] = (),
-    ) -> Plan:
-        """A grasp from the planner and a straight line up; the strategy makes no difference."""
-        from regrasp_planner import Strategy
+    def _plan(self, strategy: Strategy, seed: int, options: PlanOptions, known_grasps: Sequence[Grasp]) -> Plan:
+        """A grasp and a straight line up, whatever the strategy."""
         from regrasp_planner.stages.lift import plan_lift
 
-        Strategy(strategy)  # only to name one that does not exist
-        return plan_lift(self.task(), self.planner_robot, seed, options or self.plan_options(), known_grasps)
+        del strategy
+        return plan_lift(self.task(), self.planner_robot, seed, options, known_grasps)
