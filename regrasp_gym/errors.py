@@ -31,8 +31,8 @@ class DisplayError(EnvError, RuntimeError):
     """A window or an off-screen picture cannot be drawn on this machine."""
 
 
-class BenchError(EnvError, RuntimeError):
-    """A benchmark cannot run: a peer is not installed, a worker died, or a figure has nothing to show."""
+class BenchError(RegraspGymError, RuntimeError):
+    """A benchmark that cannot be run here: a peer is not installed, a worker died, a figure has nothing to show."""
 
 
 class MissingExtraError(RegraspGymError, ImportError):

@@ -31,6 +31,7 @@ from regrasp_planner.grasp.grasp_gen import generate_grasps  # noqa: E402
 from regrasp_planner.path.trajectory import Trajectory  # noqa: E402
 from regrasp_planner.placement.stab_pose import StablePoses, stable_poses  # noqa: E402
 from regrasp_planner.robot.model import Arm, Gripper, Robot  # noqa: E402
+from regrasp_planner.stages.options import PlanOptions  # noqa: E402
 from regrasp_planner.stages.pipeline import plan  # noqa: E402
 from regrasp_planner.stages.plan import (  # noqa: E402
     Failure,
@@ -44,7 +45,6 @@ from regrasp_planner.stages.plan import (  # noqa: E402
     StageKind,
     Strategy,
 )
-from regrasp_planner.stages.search import PlanOptions  # noqa: E402
 from regrasp_planner.task import Body, Obstacle, ReleaseArea, Scene, Task  # noqa: E402
 
 __all__ = [

@@ -30,7 +30,7 @@ class Body:
     mass: float = 0.0
 
     def hull_vertices(self) -> Float[np.ndarray, "N 3"]:
-        """Vertices of all pieces together, (N, 3) metres: their hull is that of the body, but for the pieces' sweep."""
+        """Vertices of all pieces, (N, 3) metres; their hull is that of the body, without the sweep of the pieces."""
         return np.concatenate([piece.hull_vertices() for piece in self.pieces])
 
 
@@ -85,46 +85,63 @@ class Task:
     supports: frozenset[str] = frozenset()
 
 
+_RESERVED_NAMES = {"", "held", "world", "arm", "gripper", "fingers", "palm", "finger0", "finger1"}
+"""Names that collision models give to something else."""
+
+_MAX_SWEEP = 1e-3
+"""Largest sweep radius of a target's piece, metres."""
+
+
 def check_task(task: Task, robot: Robot) -> None:
-    """Raise `TaskError` naming the first thing about the task that can not be planned with."""
-    named: list[tuple[str, Pose]] = [("pick", task.pick.target_pose), ("place", task.place.target_pose)]
-    named += [(obstacle.body.name, obstacle.pose) for obstacle in (*task.pick.obstacles, *task.place.obstacles)]
-    for name, pose in named:
-        pose = np.asarray(pose, float)
-        if pose.shape != (7,) or not np.isfinite(pose).all() or abs(np.linalg.norm(pose[:4]) - 1) > 1e-3:
-            raise TaskError(f"pose of {name!r} is {pose}; give (7,) wxyz_xyz with a unit quaternion, in metres")
-    scenes = ({id(obstacle) for obstacle in scene.obstacles} for scene in (task.pick, task.place))
-    if len(set(map(frozenset, scenes))) > 1:
-        raise TaskError("the pick and the place scene differ in their obstacles; give both scenes all of them")
-    _check_names(task)
-    target = task.target
-    if not target.pieces:
-        raise TaskError(f"target {target.name!r} has no convex pieces; give it at least one")
-    swept = max(float(piece.radius) for piece in target.pieces)
-    if swept > 1e-3:
-        raise TaskError(
-            f"target {target.name!r} is swept by {swept} m (a capsule or sphere); give the vertices of a polyhedron"
-        )
-    center = np.asarray(target.center_of_mass, float)
-    if center.shape != (3,) or not np.isfinite(center).all():
-        raise TaskError(f"centre of mass of {target.name!r} is {center}; give (3,) metres")
-    area = np.concatenate([task.release.center, task.release.half_extents])
-    if area.shape != (5,) or not np.isfinite(area).all() or (np.asarray(task.release.half_extents) <= 0).any():
-        raise TaskError(
-            f"release area {area} is no rectangle; give a centre (3,) and half extents (2,) above 0, metres"
-        )
+    """Raise `TaskError` naming the first thing about the task that cannot be planned with."""
+    _check_poses(task)
+    _check_obstacles(task)
+    _check_target(task.target)
+    _check_release_area(task.release)
     try:
         check_configuration(robot, task.start)
     except ValueError as error:
         raise TaskError(f"start: {error}") from error
 
 
-def _check_names(task: Task) -> None:
+def _check_poses(task: Task) -> None:
+    named: list[tuple[str, Pose]] = [("pick", task.pick.target_pose), ("place", task.place.target_pose)]
+    named += [(obstacle.body.name, obstacle.pose) for obstacle in (*task.pick.obstacles, *task.place.obstacles)]
+    for name, pose in named:
+        pose = np.asarray(pose, float)
+        if pose.shape != (7,) or not np.isfinite(pose).all() or abs(np.linalg.norm(pose[:4]) - 1) > 1e-3:
+            raise TaskError(f"pose of {name!r} is {pose}; give (7,) wxyz_xyz with a unit quaternion, in metres")
+
+
+def _check_obstacles(task: Task) -> None:
+    scenes = ({id(obstacle) for obstacle in scene.obstacles} for scene in (task.pick, task.place))
+    if len(set(map(frozenset, scenes))) > 1:
+        raise TaskError("the pick and the place scene differ in their obstacles; give both scenes all of them")
     names = [task.target.name, *(obstacle.body.name for obstacle in task.pick.obstacles)]
-    reserved = {"", "held", "world", "arm", "gripper", "fingers", "palm", "finger0", "finger1"}
     for name in names:
-        if name in reserved or names.count(name) > 1:
+        if name in _RESERVED_NAMES or names.count(name) > 1:
             raise TaskError(f"{name!r} names more than one thing; give the target and each obstacle a name of its own")
     unknown = task.supports - set(names)
     if unknown:
         raise TaskError(f"support {sorted(unknown)[0]!r} is not among the obstacles {sorted(names[1:])}")
+
+
+def _check_target(target: Body) -> None:
+    if not target.pieces:
+        raise TaskError(f"target {target.name!r} has no convex pieces; give it at least one")
+    swept = max(float(piece.radius) for piece in target.pieces)
+    if swept > _MAX_SWEEP:
+        raise TaskError(
+            f"target {target.name!r} is swept by {swept} m (a capsule or sphere); give the vertices of a polyhedron"
+        )
+    center = np.asarray(target.center_of_mass, float)
+    if center.shape != (3,) or not np.isfinite(center).all():
+        raise TaskError(f"centre of mass of {target.name!r} is {center}; give (3,) metres")
+
+
+def _check_release_area(release: ReleaseArea) -> None:
+    area = np.concatenate([release.center, release.half_extents])
+    if area.shape != (5,) or not np.isfinite(area).all() or (np.asarray(release.half_extents) <= 0).any():
+        raise TaskError(
+            f"release area {area} is no rectangle; give a centre (3,) and half extents (2,) above 0, metres"
+        )

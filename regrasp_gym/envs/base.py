@@ -310,21 +310,21 @@ class RegraspEnv(gymnasium.Env):
     ) -> Plan:
         """A plan from the current state, for the expert to follow. See `regrasp_planner.plan`.
 
-        Where the target has to be held at the goal, the plan is a grasp and a straight line up, whatever the strategy.
-
         Args:
             strategy: see `regrasp_planner.Strategy`.
             seed: seed of the random starts.
             options: `plan_options` if None.
             known_grasps: tried before any are generated.
         """
-        # Loads JAX, which stepping does not need.
-        from regrasp_planner import Strategy, plan
-        from regrasp_planner.stages.lift import plan_lift
+        # Imported here because it loads JAX, which stepping an environment does not need.
+        from regrasp_planner import Strategy
 
-        strategy, options = Strategy(strategy), options or self.plan_options()
-        if self.scenario.held:
-            return plan_lift(self.task(), self.planner_robot, seed, options, known_grasps)
+        return self._plan(Strategy(strategy), seed, options or self.plan_options(), known_grasps)
+
+    def _plan(self, strategy: Strategy, seed: int, options: PlanOptions, known_grasps: Sequence[Grasp]) -> Plan:
+        """For environments to override whose goal is not a place to put something down."""
+        from regrasp_planner import plan
+
         return plan(self.task(), self.planner_robot, strategy, seed, options, known_grasps)
 
     def plan_options(self) -> PlanOptions:

@@ -167,5 +167,5 @@ class ExcavatorStonesEnv(RegraspEnv):
             regrasp=GraspGenOptions(lean=0.25, max_axes=24, screened=48, budget=800),
             motion_attempts=16,
             grasps_kept=6,
-            spots=((0.0, 0.0), (-0.9, 0.0), (0.9, 0.0)),
+            release_positions=((0.0, 0.0), (-0.9, 0.0), (0.9, 0.0)),
         )

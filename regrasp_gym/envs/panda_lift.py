@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB
 from regrasp_gym.scenes.lift import LiftConfig, make_scene
 from regrasp_gym.simulation.scenario import Tolerance
+
+if TYPE_CHECKING:
+    from regrasp_planner import Grasp, Plan, PlanOptions, Strategy
 
 PANDA_LIFT = replace(
     PANDA_YCB,
@@ -85,3 +89,10 @@ class PandaYCBLiftEnv(RegraspEnv):
 
     def __init__(self, scene_config: LiftConfig | None = None, **arguments: Any) -> None:
         super().__init__(PANDA_LIFT, scene_config=scene_config or LiftConfig(), **arguments)
+
+    def _plan(self, strategy: Strategy, seed: int, options: PlanOptions, known_grasps: Sequence[Grasp]) -> Plan:
+        """A grasp and a straight line up, whatever the strategy."""
+        from regrasp_planner.stages.lift import plan_lift
+
+        del strategy
+        return plan_lift(self.task(), self.planner_robot, seed, options, known_grasps)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import gymnasium
@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.errors import OptionError
-from regrasp_planner import Failure, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy
+from regrasp_gym.simulation.world import World
+from regrasp_planner import Failure, Grasp, Plan, PlanOptions, Reason, Segment, SegmentKind, Stage, Strategy
 
 Command = Float[np.ndarray, " n+1"]
 Script = Generator[Command, None, Failure | None]
@@ -19,21 +20,21 @@ Script = Generator[Command, None, Failure | None]
 
 @dataclass(frozen=True)
 class ExpertOptions:
-    """How patient the expert is.
+    """Options of `PlannerExpert`.
 
-    Times are those of a table-top, in seconds; they grow with the scenario's `pace`.
+    Times are seconds on a table-top; they grow with the scenario's `pace`.
 
     Attributes:
-        max_stages: stages executed before it gives up.
-        arrival_time: it waits so long for the arm to arrive at the end of a motion.
-        grip_time: least and most time for closing the fingers.
-        open_time: time for opening them.
-        rest_time: most time to wait for the released target to come to rest.
-        calm_time: how long it has to rest.
-        grip_rate: rate at which the fingers count as standing still, in their range per second.
+        max_stages: stages executed before the expert gives up.
+        arrival_time: longest wait for the arm to arrive at the end of a motion.
+        grip_time: least and most time to close the fingers.
+        open_time: time to open the fingers.
+        rest_time: longest wait for the released target to come to rest.
+        calm_time: time for which the target has to rest.
+        grip_rate: rate below which the fingers count as standing still, in their range per second.
         lost_travel: how much further than planned the fingers may close before the grasp counts as lost, as a share
             of their range.
-        retries: plans made anew after a lost grasp.
+        retries: new plans after lost grasps.
     """
 
     max_stages: int = 6
@@ -48,24 +49,24 @@ class ExpertOptions:
 
 
 class PlannerExpert:
-    """Plans from the environment's present state, follows the plan, looks where the target came to rest, plans on.
+    """Plans from the environment's present state, executes one stage, and plans again from where the target rests.
 
-    ``reset`` plans; each ``act`` gives the next action, or None once there is nothing more to do: then ``failure`` says
-    why it gave up, or is None if the target was brought to its goal.
+    ``reset`` plans. ``act`` gives the next action, or None at the end; ``failure`` then says why the expert gave up,
+    and is None if the target is at its goal.
 
     Args:
         env: an environment of this package, wrapped or not.
-        strategy: how far the planner may go.
-        seed: of the planner.
-        plan_options: of the planner.
+        strategy: see `regrasp_planner.Strategy`.
+        seed: seed of the planner.
+        plan_options: options of the planner; by default those of the environment.
         options: see `ExpertOptions`.
 
     Attributes:
         plan: the first plan of the episode.
         plans: all plans made in the episode, in order.
         failure: why the expert gave up; None while it has not.
-        stage_index: number of the stage being executed, from 0; the number of stages executed at the end.
-        segment: what it is doing now; None before the first and after the last action.
+        stage_index: number of stages executed so far.
+        segment: the segment being executed; None before the first and after the last action.
 
     Raises:
         OptionError: the environment is not one of this package.
@@ -90,7 +91,7 @@ class PlannerExpert:
         self.stage_index = 0
         self.segment: Segment | None = None
         self._script: Script | None = None
-        self._world: object = None
+        self._world: World | None = None
 
     @property
     def plan(self) -> Plan:
@@ -111,8 +112,7 @@ class PlannerExpert:
     def act(self, observation: object = None) -> Float[np.ndarray, " m"] | None:
         """The next action (float32, in the environment's action space), or None when there is nothing more to do.
 
-        The expert looks at the environment's state, not at the observation, which is taken for the sake of the
-        usual calling convention.
+        The expert reads the environment's state. The observation is ignored; it keeps the usual calling convention.
         """
         del observation
         if self._script is None:
@@ -126,10 +126,10 @@ class PlannerExpert:
             return None
         return self.env.action_toward(command)
 
-    # The episode as a recipe ------------------------------------------------------------------------------------
+    # --- the episode as a recipe --------------------------------------------------------------------------------------
 
     def _episode(self) -> Script:
-        """Take, put down, look, plan on, until the target is at its goal."""
+        """Execute a stage and plan again, until the target is at its goal."""
         current, lost = self.plan, 0
         while True:
             stage = current.stages[0]
@@ -160,7 +160,7 @@ class PlannerExpert:
                 return self._failed(reason, stage, current.failure.constraint, message)
 
     def _execute(self, stage: Stage) -> Generator[Command, None, bool]:
-        """Run the segments of a stage; False as soon as the target is not in the hand although it should be."""
+        """Execute the segments of a stage; False as soon as the target is lost."""
         for segment in stage.segments:
             self.segment = segment
             if segment.trajectory is not None:
@@ -173,10 +173,10 @@ class PlannerExpert:
                 return False
         return True
 
-    # Motions ----------------------------------------------------------------------------------------------------
+    # --- motions ------------------------------------------------------------------------------------------------------
 
     def _follow(self, segment: Segment) -> Generator[Command, None, None]:
-        """Along the trajectory at the pace that the action space allows, then until the arm has arrived."""
+        """Follow the trajectory as fast as the action space allows, then wait until the arm has arrived."""
         trajectory = segment.trajectory
         assert trajectory is not None
         period = self.env.scenario.control_period
@@ -207,7 +207,7 @@ class PlannerExpert:
             yield self._standing(theta)
 
     def _until_rest(self) -> Generator[Command, None, None]:
-        """Stand still until the target does, or is where it belongs."""
+        """Wait until the target rests or is at its goal."""
         calm = 0
         for _ in range(self._steps(self.options.rest_time)):
             calm = calm + 1 if self._resting() else 0
@@ -216,11 +216,11 @@ class PlannerExpert:
             yield self.env.command
 
     def _steps(self, seconds: float) -> int:
-        """Environment steps that a time takes at the scenario's pace."""
+        """Environment steps in a time at the scenario's pace."""
         scenario = self.env.scenario
         return round(seconds * scenario.pace / scenario.control_period)
 
-    # What it sees -----------------------------------------------------------------------------------------------
+    # --- what the expert sees -----------------------------------------------------------------------------------------
 
     def _standing(self, theta: float) -> Command:
         return np.append(self.env.command[:-1], theta)
@@ -229,19 +229,19 @@ class PlannerExpert:
         return bool(np.abs(self.env.world.joint_positions - self.env.command[:-1]).max() < self.env.scenario.arrival)
 
     def _resting(self) -> bool:
-        """Well below the speeds at which a target at rest still counts as such."""
+        """Whether the target is well below the speeds allowed at the goal."""
         velocity, tolerance = self.env.world.target_velocity, self.env.scenario.tolerance
         slow = np.linalg.norm(velocity[:3]) < 0.5 * tolerance.speed
         return bool(slow and np.linalg.norm(velocity[3:]) < 0.25 * tolerance.turn_rate)
 
     def _holds(self, stage: Stage) -> bool:
-        """The fingers are kept apart by the target, and they touch it."""
+        """Whether the target keeps the fingers apart and touches them."""
         low, high = self.env.scenario.robot.theta_range
         world = self.env.world
         apart = world.theta > stage.grasp.theta - self.options.lost_travel * (high - low)
         return bool(apart and world.target_contacts()[0])
 
-    def _plan(self, known_grasps: tuple = ()) -> Plan:
+    def _plan(self, known_grasps: Sequence[Grasp] = ()) -> Plan:
         return self.env.plan(self.strategy, self.seed, self.plan_options, known_grasps)
 
     @staticmethod

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import gc
-import json
 import sys
 from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import tyro
@@ -17,11 +16,17 @@ from rich.console import Console
 from rich.table import Table
 
 import regrasp_gym
-from regrasp_gym.errors import EnvError
+from regrasp_gym.errors import OptionError
+from regrasp_gym.reports.command_line import JsonFile, run_command
+from regrasp_gym.reports.files import write_json
+
+if TYPE_CHECKING:
+    from regrasp_gym.scenes.scene import Pose
+    from regrasp_planner import Gripper, Plan, Stage
 
 
 @dataclass(frozen=True)
-class PlanCommand:
+class PlanCommandOptions:
     """Plan one scene, print the stages or why there is no plan, and show it.
 
     Exits with 0 if there is a plan (and, for a film, its execution succeeds), with 1 if there is none, with 2 on a
@@ -33,47 +38,45 @@ class PlanCommand:
     seed: int = 0
     """Seed of the scene."""
     strategy: str = "repeated"
-    """How far the planner may go: direct (one grasp), static (a regrasp in between, put down in a stable pose),
-    nonstatic (let go tilted where needed), repeated (as many regrasps as needed), or sampling (the baseline)."""
+    """What the planner may use: direct (one grasp), static (a regrasp in a stable pose), nonstatic (a regrasp with a
+    tilted release), repeated (as many regrasps as needed), or sampling (the baseline)."""
     planner_seed: int = 0
     """Seed of the planner."""
     render: Path | None = None
     """A picture of the plan (.png) or a film of its execution in the simulation (.mp4)."""
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    json_file: JsonFile = None
     """Write the result as JSON."""
 
 
 def main() -> None:
     """Entry point."""
-    command = tyro.cli(PlanCommand, prog="regrasp-plan", description=PlanCommand.__doc__)
-    # One plan and out: while JAX traces the planner, the collector would only walk over objects that stay.
+    options = tyro.cli(PlanCommandOptions, prog="regrasp-plan", description=PlanCommandOptions.__doc__)
+    # The process ends after one plan: the collector would only walk over what JAX's tracing keeps.
     gc.disable()
-    try:
-        sys.exit(run(command))
-    except (EnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        Console(stderr=True).print(f"regrasp-plan: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    sys.exit(run_command("regrasp-plan", lambda: run(options)))
 
 
-def run(command: PlanCommand) -> int:
-    """Carry the command out; returns the exit status."""
-    suffix = command.render.suffix if command.render else ""
+def run(options: PlanCommandOptions) -> int:
+    """Plan the scene; returns the exit code.
+
+    Raises:
+        OptionError: ``render`` is neither a picture nor a film.
+    """
+    suffix = options.render.suffix if options.render else ""
     if suffix not in ("", ".png", ".mp4"):
-        raise ValueError(f"--render {command.render}: give a file that ends in .png or .mp4")
-    # After that is known to be right: these load JAX.
+        raise OptionError(f"--render {options.render}: give a file that ends in .png or .mp4")
+    # Imported after the check because it loads JAX.
     from regrasp_gym.expert.plan_picture import save_execution, save_plan_picture
 
-    env = gymnasium.make(command.env, render_mode="rgb_array" if suffix else None)
+    env = gymnasium.make(options.env, render_mode="rgb_array" if suffix else None)
     try:
-        _, info = env.reset(seed=command.seed)
-        expert = regrasp_gym.PlannerExpert(env, command.strategy, command.planner_seed)
+        _, info = env.reset(seed=options.seed)
+        expert = regrasp_gym.PlannerExpert(env, options.strategy, options.planner_seed)
         expert.reset()
         plan = expert.plan
         console = Console()
-        console.print(f"{command.env}, seed {command.seed}: {info['instruction']}", highlight=False)
-        report: dict[str, Any] = {"env": command.env, "seed": command.seed, **describe(plan)}
+        console.print(f"{options.env}, seed {options.seed}: {info['instruction']}", highlight=False)
+        report: dict[str, Any] = {"env": options.env, "seed": options.seed, **describe(plan)}
         if plan.failure is not None:
             console.print(f"No plan: {plan.failure}", markup=False, highlight=False)
         else:
@@ -81,24 +84,23 @@ def run(command: PlanCommand) -> int:
         seconds = ", ".join(f"{name} {1e3 * value:.0f} ms" for name, value in plan.stats.seconds.items())
         console.print(f"{seconds}; {plan.stats.eval_grasp_calls} evaluated grasps", highlight=False)
         done = plan.success
-        if plan.success and suffix == ".png" and command.render:
-            save_plan_picture(expert.env, plan, command.render)
-        if plan.success and suffix == ".mp4" and command.render:
-            done = save_execution(expert.env, expert, command.render)
+        if plan.success and suffix == ".png" and options.render:
+            save_plan_picture(expert.env, plan, options.render)
+        if plan.success and suffix == ".mp4" and options.render:
+            done = save_execution(expert.env, expert, options.render)
             report["executed"] = done
             console.print(f"Executed: {'success' if done else expert.failure}", markup=False, highlight=False)
-        if plan.success and command.render:
-            console.print(f"Wrote {command.render}", markup=False, highlight=False)
-        if command.json_file:
-            command.json_file.parent.mkdir(parents=True, exist_ok=True)
-            command.json_file.write_text(json.dumps(report, indent=2) + "\n")
+        if plan.success and options.render:
+            console.print(f"Wrote {options.render}", markup=False, highlight=False)
+        if options.json_file:
+            write_json(options.json_file, report)
         return 0 if done else 1
     finally:
         env.close()
 
 
-def describe(plan: Any) -> dict[str, Any]:
-    """A `regrasp_planner.Plan` as what JSON can hold, without the paths."""
+def describe(plan: Plan) -> dict[str, Any]:
+    """A plan as JSON can hold it, without the paths."""
     return {
         "success": plan.success,
         "failure": asdict(plan.failure) if plan.failure else None,
@@ -122,11 +124,11 @@ def describe(plan: Any) -> dict[str, Any]:
     }
 
 
-def _duration(stage: Any) -> float:
+def _duration(stage: Stage) -> float:
     return sum(segment.trajectory.duration for segment in stage.segments if segment.trajectory is not None)
 
 
-def _table(plan: Any, gripper: Any) -> Table:
+def _table(plan: Plan, gripper: Gripper) -> Table:
     from regrasp_gym.expert.plan_picture import release_tilt
     from regrasp_planner.robot.gripper import pad_gap
 
@@ -149,5 +151,5 @@ def _table(plan: Any, gripper: Any) -> Table:
     return table
 
 
-def _position(pose: Any) -> str:
+def _position(pose: Pose) -> str:
     return "({:.2f}, {:.2f}, {:.2f})".format(*pose[4:])

@@ -9,7 +9,8 @@ import pytest
 
 import regrasp_gym
 from regrasp_planner.collision.model import CollisionModel
-from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+from regrasp_planner.stages.collision_models import CollisionModels
+from regrasp_planner.stages.options import MotionOptions
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +22,13 @@ def world() -> Any:
 
 
 @pytest.fixture(scope="module")
-def surroundings(world: Any) -> Surroundings:
+def models(world: Any) -> CollisionModels:
     """Makes collision models of the pick scene."""
     task = world.task()
-    return Surroundings(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
+    return CollisionModels(world.planner_robot, task.target, task.pick.obstacles, MotionOptions())
 
 
 @pytest.fixture(scope="module")
-def empty_handed(world: Any, surroundings: Surroundings) -> CollisionModel:
+def empty_handed(world: Any, models: CollisionModels) -> CollisionModel:
     """Collision model of the pick scene with an empty gripper."""
-    return surroundings.empty_handed(world.task().pick.target_pose)
+    return models.empty_handed(world.task().pick.target_pose)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.pose import rigid
 from regrasp_planner.robot.model import Arm, Gripper, Robot
-from regrasp_planner.task import Body, Obstacle
+from regrasp_planner.task import Body, Obstacle, ReleaseArea, Scene, Task
 
 HALF_PI = np.pi / 2
 
@@ -121,6 +121,14 @@ def shelf_scene(seed=0, clutter=5):
     return tuple(obstacles)
 
 
+BRICK_SIZE = np.array([0.04, 0.05, 0.12])
+
+
+def lying_brick(x, y, yaw, upside_down=False):
+    """Pose of the brick lying on the table on one of its larger sides, or on the opposite one."""
+    return pose((x, y, BRICK_SIZE[1] / 2), (-HALF_PI if upside_down else HALF_PI, 0, yaw))
+
+
 @pytest.fixture(scope="session")
 def panda():
     return panda_robot()
@@ -129,7 +137,33 @@ def panda():
 @pytest.fixture(scope="session")
 def build():
     """The functions that make poses, obstacles and scenes."""
-    return SimpleNamespace(pose=pose, box_obstacle=box_obstacle, shelf_scene=shelf_scene)
+    return SimpleNamespace(pose=pose, box_obstacle=box_obstacle, shelf_scene=shelf_scene, lying_brick=lying_brick)
+
+
+@pytest.fixture(scope="session")
+def make_task(build, panda):
+    """Tasks that move a brick lying on a table."""
+    brick = Body("brick", (ConvexBody.box(BRICK_SIZE),), np.zeros(3), 0.3)
+
+    def make(goal, target=brick, start=None):
+        # Below the base, so that the arm's lowest capsule is clear of it.
+        table = build.box_obstacle("table", (1.0, 1.6, 0.04), (0.65, 0, -0.02))
+        return Task(
+            target=target,
+            pick=Scene("pick", build.lying_brick(0.5, -0.25, 0.3), (table,)),
+            place=Scene("place", np.asarray(goal, float), (table,)),
+            release=ReleaseArea(np.array([0.5, 0.0, 0.0]), np.array([0.14, 0.12])),
+            start=np.asarray(panda.home if start is None else start, float),
+            supports=frozenset({"table"}),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def flipped_task(make_task, build):
+    """The brick has to lie on the opposite side: what was below is above."""
+    return make_task(build.lying_brick(0.5, 0.25, 0.3, upside_down=True))
 
 
 class CoalOracle:

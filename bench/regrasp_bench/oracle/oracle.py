@@ -19,7 +19,7 @@ from regrasp_bench.oracle.antipodal import AntipodalOptions, Candidates, sample_
 from regrasp_bench.oracle.exhaustive_ik import ExhaustiveIk, ExhaustiveIkOptions
 from regrasp_bench.peers.coal_shapes import PosedShapes, Shape, keeps_margins
 from regrasp_planner import Body, Robot, Task
-from regrasp_planner.stages.scale import scaled_robot, scaled_task, shrink_factor
+from regrasp_planner.stages.scale import planner_scale, scaled_robot, scaled_task
 from regrasp_planner.task import Obstacle
 
 _WAYPOINTS, _JUMP = 3, 0.8
@@ -102,7 +102,7 @@ class Oracle:
 
     def __init__(self, robot: Robot, options: OracleOptions | None = None) -> None:
         self.options = options or OracleOptions()
-        self._factor = shrink_factor(robot)
+        self._factor = planner_scale(robot)
         robot = scaled_robot(robot, self._factor)
         self.ik = ExhaustiveIk(robot, self.options.ik)
         self.clearance = (self.options.grasps.margin - self.options.slack) * float(robot.gripper.max_opening)

@@ -47,10 +47,11 @@ class IkQuery:
 
 def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[IkQuery]:
     """Gripper poses of random configurations that keep all margins: ``count`` anywhere, ``count`` close ones."""
-    from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+    from regrasp_planner.stages.collision_models import CollisionModels
+    from regrasp_planner.stages.options import MotionOptions
 
-    surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
-    model, theta = surroundings.empty_handed(task.pick.target_pose), float(robot.gripper.upper)
+    models = CollisionModels(robot, task.target, task.pick.obstacles, MotionOptions())
+    model, theta = models.empty_handed(task.pick.target_pose), float(robot.gripper.upper)
     checker = ExactChecker(model, theta)
     left = {"random": count, "random, close": count}
     queries: list[IkQuery] = []
@@ -70,12 +71,13 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
 def grasp_queries(task: Task, robot: Robot, count: int) -> list[IkQuery]:
     """Gripper poses of ``count`` grasps in the pick scene, and of as many in the place scene."""
     from regrasp_planner import generate_grasps
-    from regrasp_planner.stages.surroundings import MotionOptions, Surroundings
+    from regrasp_planner.stages.collision_models import CollisionModels
+    from regrasp_planner.stages.options import MotionOptions
 
-    surroundings = Surroundings(robot, task.target, task.pick.obstacles, MotionOptions())
+    models = CollisionModels(robot, task.target, task.pick.obstacles, MotionOptions())
     queries: list[IkQuery] = []
     for kind, scene in (("grasp at pick", task.pick), ("grasp at place", task.place)):
-        model = surroundings.empty_handed(scene.target_pose)
+        model = models.empty_handed(scene.target_pose)
         for grasp in generate_grasps(task.target, (scene,), robot.gripper).grasps[:count]:
             target, theta = np.asarray(grasp.gripper_pose(scene.target_pose)), float(grasp.opening)
             queries.append(IkQuery(kind, model, ExactChecker(model, theta), target, theta))

@@ -20,14 +20,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from regrasp_planner.batching import bucket_size
 from regrasp_planner.collision.clearance import configuration_clearance, gripper_clearance
-from regrasp_planner.collision.model import (
-    CollisionArrays,
-    CollisionModel,
-    body_frames,
-    gripper_pairs,
-    pair_bounds,
-    pair_clearances,
-)
+from regrasp_planner.collision.model import CollisionArrays, CollisionModel, body_frames
+from regrasp_planner.collision.pairs import gripper_pairs, pair_bounds, pair_clearances
 from regrasp_planner.ik.descent import ROTATION_LENGTH, reach
 from regrasp_planner.optim.augmented_lagrangian import ConstrainedResult, Options, Stall, augmented_lagrangian
 from regrasp_planner.optim.manifold import Euclidean

@@ -1,4 +1,4 @@
-"""Plans for lifting: a grasp from the planner, and a straight line up. One stage that neither lowers nor lets go."""
+"""Plans for lifting: a grasp from the planner, and a straight line up. One stage that neither lowers nor releases."""
 
 from __future__ import annotations
 
@@ -17,27 +17,18 @@ from regrasp_planner.ik.ik_solve import POSITION_TOLERANCE, ROTATION_TOLERANCE
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.robot.kinematics import forward_kinematics
 from regrasp_planner.robot.model import Robot
-from regrasp_planner.stages.motion import no_path
-from regrasp_planner.stages.plan import (
-    Failure,
-    Plan,
-    PlanStats,
-    Reason,
-    Segment,
-    SegmentKind,
-    Stage,
-    StageKind,
-    Strategy,
-)
-from regrasp_planner.stages.search import PlanOptions, StageSearch, furthest
-from regrasp_planner.stages.surroundings import Ends, flipped
-from regrasp_planner.task import Task, check_task
+from regrasp_planner.stages.failures import bad_input, most_advanced_failure, no_grasp, unreachable
+from regrasp_planner.stages.grasp_ik import GraspIk, with_flipped
+from regrasp_planner.stages.options import PlanOptions
+from regrasp_planner.stages.plan import Failure, Plan, PlanStats, Segment, SegmentKind, Stage, StageKind, Strategy
+from regrasp_planner.stages.search import StageSearch
+from regrasp_planner.task import Task
 
 _ITERATIONS = 60
 """Steps of the descent from the present configuration to a grasp."""
 
 _ATTEMPTS = 12
-"""Configurations whose motion is planned before more grasps are looked for, or none are."""
+"""Configurations of one batch of grasps whose motion is planned."""
 
 _HOLDS = 3
 """How often the gripper presses once more at the top, 0.3 s each: a learner has to see what holding looks like."""
@@ -50,73 +41,68 @@ def plan_lift(
 ) -> Plan:
     """Plan to take the target and to raise it to the height of its pose in the place scene.
 
-    Each grasp is considered as it was found and from above. Of several it takes the one that the gripper has to
-    turn least for, so that like scenes have like plans.
+    Each grasp is considered as it was found and from above. The one that the gripper has to turn least for is
+    preferred, so that like scenes have like plans.
 
     Args:
         task: the place scene's target pose is where the target is to be held.
         robot: arm, gripper and their bodies; its gripper opens about as wide as the Panda's.
-        seed: of the random starts.
-        options: of the planner.
-        known_grasps: grasps tried before any are generated.
+        seed: seed of the random starts.
+        options: see `PlanOptions`.
+        known_grasps: grasps to try before any are generated.
 
     Returns:
         `Plan` of one stage, or one with ``failure`` set.
     """
     began = time.perf_counter()
-    try:
-        check_task(task, robot)
-    except ValueError as error:
-        failure = Failure(Reason.BAD_INPUT, "", "", str(error))
-        return Plan(False, failure, (), Strategy.DIRECT, PlanStats(), seed)
+    mistake = bad_input(task, robot)
+    if mistake is not None:
+        return Plan.of(mistake, Strategy.DIRECT, seed)
     options = options or PlanOptions()
     options = replace(options, motion=replace(options.motion, lift=(_height(task),)))
     stages = StageSearch(task, robot, seed, options)
     outcome = _lift(stages, known_grasps)
-    seconds = {**stages.clock.seconds, "total": time.perf_counter() - began}
-    stats = PlanStats(*stages.counts(), seconds)
-    if isinstance(outcome, Failure):
-        return Plan(False, outcome, (), Strategy.DIRECT, stats, seed)
-    return Plan(True, None, (outcome,), Strategy.DIRECT, stats, seed)
+    stats = PlanStats(*stages.counts(), {**stages.clock.seconds, "total": time.perf_counter() - began})
+    return Plan.of(outcome if isinstance(outcome, Failure) else (outcome,), Strategy.DIRECT, seed, stats)
 
 
 def _lift(stages: StageSearch, known_grasps: Sequence[Grasp]) -> Stage | Failure:
-    search = stages.search(stages.options.regrasp, stages.task.pick)
+    search = stages.grasp_search(stages.options.regrasp, stages.task.pick)
     found = (
         [way for each in batch for way in (_from_above(each.grasp, stages), each.grasp)]
-        for batch in stages.timed(search.grasps())
+        for batch in stages.clock.each("grasp_gen", search.grasps())
     )
     failure: Failure | None = None
     for batch in chain([known_grasps], found):
-        for grasp, ends in _configurations(stages, batch)[:_ATTEMPTS]:
-            stage = _stage(stages, grasp, ends)
+        for ik in _configurations(stages, batch)[:_ATTEMPTS]:
+            stage = _stage(stages, ik)
             if isinstance(stage, Stage):
                 return stage
-            failure = furthest(failure, stage)
+            failure = most_advanced_failure(failure, stage)
     if failure is None and search.ordered:
-        return stages.unreachable(_KIND)
-    return failure or stages.no_grasp(_KIND, search, stages.task.pick.name)
+        return unreachable(stages.task.target, _KIND)
+    return failure or no_grasp(search, _KIND, stages.task.pick.name, stages.robot)
 
 
-def _configurations(stages: StageSearch, batch: Sequence[Grasp]) -> list[tuple[Grasp, Ends]]:
-    """Grasps with one configuration of the arm each; first those to which the gripper, then the arm turns least.
+def _configurations(stages: StageSearch, batch: Sequence[Grasp]) -> list[GraspIk]:
+    """Grasps with one configuration each; those come first for which the gripper, then the arm turns least.
 
-    Before those of IkSolve come the ones that a descent from the present configuration leads to: they change with the
+    A configuration that a descent from the present one leads to comes before those of IkSolve: it changes with the
     target's pose as little as that does.
     """
     arm, start, pose = stages.robot.arm, np.asarray(stages.task.start), stages.task.pick.target_pose
     now = rigid(np.asarray(forward_kinematics(arm, jnp.asarray(start))[-1]))
-    grasps = [either for grasp in batch for either in (grasp, flipped(grasp, stages.robot))]
-    found: list[tuple[bool, float, Grasp, Ends]] = []
-    for grasp, ends in zip(grasps, stages.ends(grasps, pose) if grasps else (), strict=True):
-        goal = grasp.gripper_pose(pose)
+    grasps = with_flipped(batch, stages.robot)
+    found: list[tuple[bool, float, GraspIk]] = []
+    for ik in stages.grasp_ik(grasps, pose) if grasps else ():
+        goal = ik.grasp.gripper_pose(pose)
         turn = float((now.inv() * rigid(goal)).rotation.magnitude())
         near = reach(arm, goal[None], start[None, None], np.asarray(1), np.asarray(_ITERATIONS))
         if near.position_error[0] < POSITION_TOLERANCE and near.rotation_error[0] < ROTATION_TOLERANCE:
-            found.append((False, turn, grasp, Ends((np.asarray(near.q[0]),), "")))
-        for q in ends.configurations:
-            found.append((True, turn + 0.1 * float(np.abs(q - start).max()), grasp, Ends((q,), "")))
-    return [(grasp, ends) for *_, grasp, ends in sorted(found, key=lambda each: each[:2])]
+            found.append((False, turn, replace(ik, configurations=(np.asarray(near.q[0]),))))
+        for q in ik.configurations:
+            found.append((True, turn + 0.1 * float(np.abs(q - start).max()), replace(ik, configurations=(q,))))
+    return [ik for *_, ik in sorted(found, key=lambda each: each[:2])]
 
 
 def _from_above(grasp: Grasp, stages: StageSearch) -> Grasp:
@@ -131,27 +117,18 @@ def _from_above(grasp: Grasp, stages: StageSearch) -> Grasp:
     return replace(grasp, pose=pose)
 
 
-def _stage(stages: StageSearch, grasp: Grasp, ends: Ends) -> Stage | Failure:
-    task = stages.task
-    reaches = stages.motion.takes(_KIND, grasp, task.pick.target_pose, ends)
-    way = next(iter(reaches), None)
-    if way is None:
-        return reaches.failure
-    empty = stages.surroundings.empty_handed(task.pick.target_pose)
-    start, closed = np.asarray(task.start), float(stages.robot.gripper.lower)
-    transit = stages.motion.path(empty, start, way.inward.start, grasp.opening)
-    if transit.trajectory is None:
-        return no_path(_KIND, SegmentKind.TRANSIT, transit)
-    segments = (
-        Segment(SegmentKind.TRANSIT, transit.trajectory, grasp.opening, holding=False),
-        Segment(SegmentKind.APPROACH, way.inward, grasp.opening, holding=False),
-        Segment(SegmentKind.CLOSE, None, closed, holding=True),
-        Segment(SegmentKind.LIFT, way.outward, closed, holding=True),
-        *[Segment(SegmentKind.CLOSE, None, closed, holding=True)] * _HOLDS,
-    )
-    held = np.array(task.pick.target_pose, float)
-    held[6] += _height(task)
-    return Stage(_KIND, grasp, task.pick.target_pose, held, held, segments)
+def _stage(stages: StageSearch, ik: GraspIk) -> Stage | Failure:
+    motions = stages.motion.pick_motions(_KIND, ik)
+    motion = next(iter(motions), None)
+    if motion is None:
+        return motions.failure
+    picked = stages.motion.pick_segments(_KIND, ik, motion, np.asarray(stages.task.start))
+    if isinstance(picked, Failure):
+        return picked
+    hold = Segment(SegmentKind.CLOSE, None, float(stages.robot.gripper.lower), holding=True)
+    raised = np.array(ik.target_pose, float)
+    raised[6] += _height(stages.task)
+    return Stage(_KIND, ik.grasp, ik.target_pose, raised, raised, (*picked, *[hold] * _HOLDS))
 
 
 def _height(task: Task) -> float:

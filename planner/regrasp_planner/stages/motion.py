@@ -1,217 +1,242 @@
-"""The motion of one stage: configurations for its grasp at both ends, and the paths that join them.
+"""The motion of one stage: straight lines to and from its grasp at both ends, and the paths that connect them.
 
-A stage runs transit – approach – close – lift – transfer – lower – open – retreat. The short straight lines are worked
-out first, from the configurations at the grasp outwards, since they fail soonest; the two long paths come last.
+A stage runs transit – approach – close – lift – transfer – lower – open – retreat. The short straight lines are planned
+first, from the configurations at the grasp outwards, since they fail soonest; the two long paths come last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
-from typing import Protocol
+from itertools import islice, product
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
-from regrasp_planner.grasp.grasp import Grasp
-from regrasp_planner.path.options import PathOptions
 from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.query import LineQuery, PathQuery
 from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
-from regrasp_planner.stages.plan import Failure, Reason, Segment, SegmentKind, Stage, StageKind
-from regrasp_planner.stages.surroundings import Clock, Ends, Surroundings
+from regrasp_planner.stages.clock import Clock
+from regrasp_planner.stages.collision_models import CollisionModels
+from regrasp_planner.stages.failures import no_path, unreachable
+from regrasp_planner.stages.grasp_ik import GraspIk
+from regrasp_planner.stages.plan import Failure, Segment, SegmentKind, Stage, StageKind
 
 
 class PathObserver(Protocol):
     """Told of every query of PathPlan and its result. Lengths are at the planner's scale (`stages.scale`)."""
 
-    def on_path(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        goal: Float[np.ndarray, " n"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
-        """After `plan_path`, with its arguments."""
+    def on_path(self, query: PathQuery, result: PathResult) -> None:
+        """Called after each `plan_path`."""
         ...
 
-    def on_line(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        displacement: Float[np.ndarray, " 3"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
-        """After `cartesian_path`, with its arguments."""
+    def on_line(self, query: LineQuery, result: PathResult) -> None:
+        """Called after each `cartesian_path`."""
         ...
 
 
 @dataclass(frozen=True)
-class Reach:
-    """A way to a grasp and on from it, by straight lines: what is possible at one end of a stage.
+class ApproachDepart:
+    """Straight lines to a grasp and away from it, at one end of a stage.
 
     Attributes:
-        inward: the line to the grasp (approach, or lowering the held target).
-        outward: the line away from it (lift, or retreat).
-        opening: finger coordinate of the open gripper on its line.
+        approach: the line to the grasp: the empty gripper's approach, or the held target's lowering.
+        depart: the line away from it: the held target's lift, or the empty gripper's retreat.
+        opening: finger coordinate of the empty gripper on its line.
     """
 
-    inward: Trajectory
-    outward: Trajectory
+    approach: Trajectory
+    depart: Trajectory
     opening: float
 
 
-class Reaches:
-    """The ways at one end of a stage, best first, each worked out only when it is asked for; true if there is one.
+class LazyMotions:
+    """Motions at one end of a stage, best first, each planned only when it is asked for.
 
     Args:
-        attempts: ways, and failures where a configuration has none.
-        failure: why there is none if there are no attempts.
+        ik: grasp, pose of the target, and configurations.
+        attempts: plans a motion from each configuration; a failure where there is none.
+        failure: the failure if there are no attempts.
 
     Attributes:
-        failure: what the last attempt failed by.
+        failure: of the last attempt that failed.
     """
 
-    def __init__(self, attempts: Iterator[Reach | Failure], failure: Failure):
-        self._attempts, self._found = attempts, list[Reach]()
-        self.failure = failure
+    def __init__(self, ik: GraspIk, attempts: Iterator[ApproachDepart | Failure], failure: Failure):
+        self.ik, self.failure = ik, failure
+        self._attempts, self._planned = attempts, list[ApproachDepart]()
 
-    def __iter__(self) -> Iterator[Reach]:
+    def __iter__(self) -> Iterator[ApproachDepart]:
         k = 0
-        while k < len(self._found) or self._advance():
-            yield self._found[k]
+        while k < len(self._planned) or self._plan_next():
+            yield self._planned[k]
             k += 1
 
-    def __bool__(self) -> bool:
-        return bool(self._found) or self._advance()
+    def any_feasible(self) -> bool:
+        """Whether there is a motion; plans until one is found."""
+        return bool(self._planned) or self._plan_next()
 
-    def _advance(self) -> bool:
+    def _plan_next(self) -> bool:
         for attempt in self._attempts:
-            if isinstance(attempt, Reach):
-                self._found.append(attempt)
+            if isinstance(attempt, ApproachDepart):
+                self._planned.append(attempt)
                 return True
             self.failure = attempt
         return False
 
 
+class _Lines(NamedTuple):
+    """From one configuration at the grasp: the empty gripper off the target, and the held target off the support."""
+
+    withdraw: Trajectory
+    opening: float
+    lift: Trajectory
+
+    def pick(self) -> ApproachDepart:
+        """To the target with the empty gripper, and up with the target."""
+        return ApproachDepart(self.withdraw.reversed(), self.lift, self.opening)
+
+    def place(self) -> ApproachDepart:
+        """Down with the target, and off it with the empty gripper."""
+        return ApproachDepart(self.lift.reversed(), self.withdraw, self.opening)
+
+
 class StageMotion:
-    """Finds the motion of stages. What was found out about one end of a stage is kept for the next call."""
+    """Plans the motion of stages.
 
-    def __init__(self, surroundings: Surroundings, clock: Clock, seed: int, observer: PathObserver | None = None):
-        self.surroundings, self.clock, self.seed, self.observer = surroundings, clock, seed, observer
-        self.options = surroundings.options
-        self._axis = np.asarray(surroundings.robot.gripper.approach_axis)
+    Args:
+        models: collision models of the task.
+        clock: counts the time of PathPlan.
+        seed: seed of PathPlan.
+        observer: told of every path query.
+    """
 
-    def takes(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends) -> Reaches:
-        """Approach and lift, for the target standing at ``pose``."""
-        names = SegmentKind.APPROACH, SegmentKind.LIFT
-        lines = self._lines_from(kind, grasp, pose, ends, self.options.lift, names, (grasp.opening,))
-        ways = (line if isinstance(line, Failure) else Reach(line[0].reversed(), *line[1:]) for line in lines)
-        return Reaches(ways, _unreachable(kind, ends))
+    def __init__(self, models: CollisionModels, clock: Clock, seed: int, observer: PathObserver | None = None):
+        self.models, self.clock, self.seed, self.observer = models, clock, seed, observer
+        self.options, self._gripper = models.options, models.robot.gripper
 
-    def puts(self, kind: StageKind, grasp: Grasp, pose: Pose, ends: Ends, wide: bool = False) -> Reaches:
-        """Lowering and retreat, for the target let go at ``pose``; with fingers opened ``wide`` if they can be."""
-        names = SegmentKind.RETREAT, SegmentKind.LOWER
-        upper = float(self.surroundings.robot.gripper.upper)
-        openings = (upper, grasp.opening) if wide else (grasp.opening,)
-        lines = self._lines_from(kind, grasp, pose, ends, self.options.lower, names, openings)
-        ways = (line if isinstance(line, Failure) else Reach(line[1].reversed(), line[0], line[2]) for line in lines)
-        return Reaches(ways, _unreachable(kind, ends))
+    def pick_motions(self, kind: StageKind, ik: GraspIk) -> LazyMotions:
+        """Approach and lift at the pick."""
+        tried = self._lines(kind, ik, (ik.grasp.opening,), self.options.lift, (SegmentKind.APPROACH, SegmentKind.LIFT))
+        return self._motions(kind, ik, tried, _Lines.pick)
 
-    def _lines_from(
+    def place_motions(self, kind: StageKind, ik: GraspIk, wide: bool = False) -> LazyMotions:
+        """Lowering and retreat at the release; ``wide``: with the fingers opened all the way if there is room."""
+        openings = (float(self._gripper.upper), ik.grasp.opening) if wide else (ik.grasp.opening,)
+        tried = self._lines(kind, ik, openings, self.options.lower, (SegmentKind.RETREAT, SegmentKind.LOWER))
+        return self._motions(kind, ik, tried, _Lines.place)
+
+    def _motions(
         self,
         kind: StageKind,
-        grasp: Grasp,
-        pose: Pose,
-        ends: Ends,
-        heights: Sequence[float],
-        names: tuple[SegmentKind, SegmentKind],
-        openings: Sequence[float],
-    ) -> Iterator[tuple[Trajectory, Trajectory, float] | Failure]:
-        """From each configuration at the grasp: the empty gripper's line off the target, and the full one's line up.
+        ik: GraspIk,
+        tried: Iterator[_Lines | Failure],
+        motion: Callable[[_Lines], ApproachDepart],
+    ) -> LazyMotions:
+        motions = (lines if isinstance(lines, Failure) else motion(lines) for lines in tried)
+        return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
 
-        With them comes the first of the ``openings`` at which the empty gripper's line works.
-        """
-        empty, holding = self.surroundings.empty_handed(pose), self.surroundings.holding(grasp)
-        back = self._withdrawals(grasp.gripper_pose(pose))
-        raises = [np.array([0.0, 0.0, height]) for height in heights]
-        for q in ends.configurations:
-            opening, *others = openings
-            off = self._line(empty, q, back, opening)
-            while not isinstance(off, Trajectory) and others:
-                opening, *others = others
-                off = self._line(empty, q, back, opening)
-            if not isinstance(off, Trajectory):
-                yield no_path(kind, names[0], off)
-                continue
-            up = self._line(holding, q, raises, grasp.theta)
-            if not isinstance(up, Trajectory):
-                yield no_path(kind, names[1], up)
-                continue
-            yield off, up, opening
-
-    def join(
+    def connect(
         self,
         kind: StageKind,
-        grasp: Grasp,
-        start_pose: Pose,
-        release_pose: Pose,
+        pick: LazyMotions,
+        place: LazyMotions,
         settled_pose: Pose,
-        takes: Reaches,
-        puts: Reaches,
-        configuration: Float[np.ndarray, " n"],
+        start: Float[np.ndarray, " n"],
     ) -> Stage | Failure:
-        """The stage between two ends, starting from ``configuration`` with an open gripper; or why there is none.
+        """The stage from a pick to a place, or why there is none.
 
         Args:
             kind: what the stage is for.
-            grasp: the grasp held.
-            start_pose, release_pose, settled_pose: (7,) pose of the target when taken, let go, and at rest after that.
-            takes, puts: the ways at either end.
-            configuration: (n,) where the arm is before, radians.
+            pick, place: motions at either end, of the same grasp.
+            settled_pose: (7,) of the target at rest after the release.
+            start: (n,) configuration of the arm before, with an open gripper, radians.
         """
-        if not takes or not puts:
-            return (puts if takes else takes).failure
-        last = takes.failure
-        empty, holding = self.surroundings.empty_handed(start_pose), self.surroundings.holding(grasp)
-        closed = float(self.surroundings.robot.gripper.lower)
-        pairs = ((take, put) for take in takes for put in puts)
-        for take, put in islice(pairs, self.options.joins):
-            transfer = self.path(holding, take.outward.goal, put.inward.start, grasp.theta)
+        for end in (pick, place):
+            if not end.any_feasible():
+                return end.failure
+        grasp, failure = pick.ik.grasp, pick.failure
+        holding, closed = self.models.holding(grasp), float(self._gripper.lower)
+        pairs = ((one, other) for one in pick for other in place)
+        for picking, placing in islice(pairs, self.options.joins):
+            transfer = self._path(holding, picking.depart.goal, placing.approach.start, grasp.theta)
             if transfer.trajectory is None:
-                last = no_path(kind, SegmentKind.TRANSFER, transfer)
+                failure = no_path(kind, SegmentKind.TRANSFER, transfer)
                 continue
-            transit = self.path(empty, configuration, take.inward.start, grasp.opening)
-            if transit.trajectory is None:
-                last = no_path(kind, SegmentKind.TRANSIT, transit)
+            picked = self.pick_segments(kind, pick.ik, picking, start)
+            if isinstance(picked, Failure):
+                failure = picked
                 continue
             segments = (
-                Segment(SegmentKind.TRANSIT, transit.trajectory, grasp.opening, holding=False),
-                Segment(SegmentKind.APPROACH, take.inward, grasp.opening, holding=False),
-                Segment(SegmentKind.CLOSE, None, closed, holding=True),
-                Segment(SegmentKind.LIFT, take.outward, closed, holding=True),
+                *picked,
                 Segment(SegmentKind.TRANSFER, transfer.trajectory, closed, holding=True),
-                Segment(SegmentKind.LOWER, put.inward, closed, holding=True),
-                Segment(SegmentKind.OPEN, None, put.opening, holding=False),
-                Segment(SegmentKind.RETREAT, put.outward, put.opening, holding=False),
+                Segment(SegmentKind.LOWER, placing.approach, closed, holding=True),
+                Segment(SegmentKind.OPEN, None, placing.opening, holding=False),
+                Segment(SegmentKind.RETREAT, placing.depart, placing.opening, holding=False),
             )
-            return Stage(kind, grasp, start_pose, release_pose, settled_pose, segments)
-        return last
+            return Stage(kind, grasp, pick.ik.target_pose, place.ik.target_pose, settled_pose, segments)
+        return failure
+
+    def pick_segments(
+        self, kind: StageKind, ik: GraspIk, motion: ApproachDepart, start: Float[np.ndarray, " n"]
+    ) -> tuple[Segment, ...] | Failure:
+        """Transit from ``start``, approach, close and lift; or why there is no transit."""
+        opening, closed = ik.grasp.opening, float(self._gripper.lower)
+        transit = self._path(self.models.empty_handed(ik.target_pose), start, motion.approach.start, opening)
+        if transit.trajectory is None:
+            return no_path(kind, SegmentKind.TRANSIT, transit)
+        return (
+            Segment(SegmentKind.TRANSIT, transit.trajectory, opening, holding=False),
+            Segment(SegmentKind.APPROACH, motion.approach, opening, holding=False),
+            Segment(SegmentKind.CLOSE, None, closed, holding=True),
+            Segment(SegmentKind.LIFT, motion.depart, closed, holding=True),
+        )
+
+    def _lines(
+        self,
+        kind: StageKind,
+        ik: GraspIk,
+        openings: Sequence[float],
+        heights: Sequence[float],
+        names: tuple[SegmentKind, SegmentKind],
+    ) -> Iterator[_Lines | Failure]:
+        """The lines from each configuration, at the first opening that works.
+
+        Args:
+            kind: what the stage is for.
+            ik: grasp, pose of the target, and configurations.
+            openings: finger coordinates of the empty gripper, tried in turn.
+            heights: of the held target's line, tried in turn, metres.
+            names: of the empty gripper's and the held target's line, for failures.
+        """
+        empty = [ConfigurationSpace(self.models.empty_handed(ik.target_pose), opening) for opening in openings]
+        holding = ConfigurationSpace(self.models.holding(ik.grasp), ik.grasp.theta)
+        withdrawals = self._withdrawals(ik.grasp.gripper_pose(ik.target_pose))
+        lifts = [np.array([0.0, 0.0, height]) for height in heights]
+        for q in ik.configurations:
+            withdraw, opening = self._line(q, product(empty, withdrawals))
+            if withdraw.trajectory is None:
+                yield no_path(kind, names[0], withdraw)
+                continue
+            lift, _ = self._line(q, product((holding,), lifts))
+            if lift.trajectory is None:
+                yield no_path(kind, names[1], lift)
+                continue
+            yield _Lines(withdraw.trajectory, opening, lift.trajectory)
 
     def _withdrawals(self, gripper_pose: Pose) -> list[Float[np.ndarray, " 3"]]:
         """Displacements that take the open gripper off the target: back along the approach axis, levelly, to the base.
 
         All lie in the plane of the fingers' faces, so that the pads slide off the target.
         """
-        robot, pose = self.surroundings.robot, rigid(gripper_pose)
-        out = -pose.rotation.apply(self._axis)
-        closing = pose.rotation.apply(np.asarray(robot.gripper.width_axis))
-        home = np.asarray(robot.arm.base)[4:] - pose.translation
+        pose = rigid(gripper_pose)
+        out = -pose.rotation.apply(np.asarray(self._gripper.approach_axis))
+        closing = pose.rotation.apply(np.asarray(self._gripper.width_axis))
+        home = np.asarray(self.models.robot.arm.base)[4:] - pose.translation
         directions = [out]
         for way in (out * [1.0, 1.0, 0.0], (home - (home @ closing) * closing) * [1.0, 1.0, 0.0]):
             size = float(np.linalg.norm(way))
@@ -221,40 +246,35 @@ class StageMotion:
         return [length * direction for length in self.options.approach for direction in directions]
 
     def _line(
-        self,
-        model: CollisionModel,
-        q: Float[np.ndarray, " n"],
-        displacements: Sequence[Float[np.ndarray, " 3"]],
-        theta: float,
-    ) -> Trajectory | PathResult:
-        """The first straight line from q that works, or why the last did not."""
-        space = ConfigurationSpace(model, theta)
-        result: PathResult | None = None
-        for displacement in displacements:
-            result = self.clock.time("path_plan", lambda d=displacement: cartesian_path(space, q, d, self.options.path))
-            if self.observer is not None:
-                self.observer.on_line(space, q, displacement, self.options.path, result)
-            if result.trajectory is not None:
-                return result.trajectory
-        assert result is not None
-        return result
+        self, q: Float[np.ndarray, " n"], tries: Iterable[tuple[ConfigurationSpace, Float[np.ndarray, " 3"]]]
+    ) -> tuple[PathResult, float]:
+        """The first straight line from q that works, otherwise the last that did not; and its finger coordinate.
 
-    def path(
+        Args:
+            q: (n,) radians.
+            tries: spaces and displacements (3,) in metres, at least one.
+        """
+        result: PathResult | None = None
+        theta = 0.0
+        for space, displacement in tries:
+            theta = space.theta
+            query = LineQuery(space, q, displacement, self.options.path)
+            with self.clock("path_plan"):
+                result = cartesian_path(query)
+            if self.observer is not None:
+                self.observer.on_line(query, result)
+            if result.trajectory is not None:
+                break
+        assert result is not None
+        return result, theta
+
+    def _path(
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
-        """A path between two configurations at finger coordinate ``theta``, its time taken down."""
-        space, options = ConfigurationSpace(model, theta), self.options.path
-        result = self.clock.time("path_plan", lambda: plan_path(space, start, goal, options, self.seed))
+        """A path between two configurations at finger coordinate ``theta``."""
+        query = PathQuery(ConfigurationSpace(model, theta), start, goal, self.options.path)
+        with self.clock("path_plan"):
+            result = plan_path(query, self.seed)
         if self.observer is not None:
-            self.observer.on_path(space, start, goal, options, result)
+            self.observer.on_path(query, result)
         return result
-
-
-def _unreachable(kind: StageKind, ends: Ends) -> Failure:
-    return Failure(Reason.UNREACHABLE, kind, ends.constraint, "no configuration of the arm at the grasp")
-
-
-def no_path(stage: StageKind, segment: SegmentKind, result: PathResult) -> Failure:
-    """Why a segment has no path: the bodies in the way, if any."""
-    bodies = " – ".join(result.bodies) if result.bodies else result.status.value
-    return Failure(Reason.NO_PATH, stage, f"{segment}: {bodies}", result.message)

@@ -20,13 +20,13 @@ class Strategy(StrEnum):
     DIRECT = "direct"
     """One grasp from pick to place."""
     STATIC = "static"
-    """One regrasp, the target being put down in a stable pose where needed."""
+    """One regrasp where needed; the target is put down in a stable pose."""
     NONSTATIC = "nonstatic"
-    """One regrasp, the target being let go tilted where needed, to settle into a stable pose (GraspGen⁺)."""
+    """One regrasp where needed; the target may be released tilted, to settle into a stable pose (GraspGen⁺)."""
     REPEATED = "repeated"
-    """As many regrasps as needed, up to a bound."""
+    """As many regrasps as needed, up to `PlanOptions.max_stages`."""
     SAMPLING = "sampling"
-    """The baseline: one grasp from pick to place, chosen from many random ones instead of by GraspGen."""
+    """The baseline: one grasp from pick to place, chosen from many random ones."""
 
     @classmethod
     def _missing_(cls, value: object) -> Strategy:
@@ -34,7 +34,7 @@ class Strategy(StrEnum):
 
 
 class StageKind(StrEnum):
-    """What one grasp is held for."""
+    """What a stage, one grasp, is for."""
 
     PICK_TO_PLACE = "pick-to-place"
     PICK_TO_RELEASE = "pick-to-release"
@@ -73,13 +73,13 @@ class Reason(StrEnum):
     NO_COMMON_GRASP = "no common grasp"
     """No grasp keeps clear of the obstacles of both scenes of a stage together."""
     NO_STABLE_POSE = "no stable pose"
-    """The target rests nowhere in the release area, or in no pose from which it can be taken on."""
+    """No stable pose fits the release area, or none from which the target can be taken on."""
     UNREACHABLE = "unreachable"
     """No configuration of the arm reaches the grasps, clear of collision and within the joint limits."""
     NO_PATH = "no path"
     """Configurations exist but no collision-free path between them was found."""
     SETTLED_ELSEWHERE = "settled elsewhere"
-    """During execution: the released target came to rest where no further plan starts from."""
+    """During execution: there is no plan from where the released target came to rest."""
     LOST_GRASP = "lost grasp"
     """During execution: the target slipped out of the fingers or was never between them."""
     MISPLACED = "misplaced"
@@ -94,7 +94,7 @@ class Failure:
 
     Attributes:
         reason: what went wrong.
-        stage: the stage it went wrong in ("" if none).
+        stage: the kind of stage that failed ("" if none).
         constraint: the constraint that failed, such as "world collision: link5 – shelf_top".
         message: one sentence for a person, with the fix where there is one.
     """
@@ -129,13 +129,13 @@ class Segment:
 
 @dataclass(frozen=True)
 class Stage:
-    """One grasp, from taking the target up to letting it go.
+    """One grasp, from the pick to the release of the target.
 
     Attributes:
-        kind: what the grasp is held for.
+        kind: what the stage is for.
         grasp: the grasp, in the target's frame.
-        start_pose: (7,) the target's pose when it is taken.
-        release_pose: (7,) its pose when it is let go (g_T^pre).
+        start_pose: (7,) the target's pose at the pick.
+        release_pose: (7,) its pose at the release (g_T^pre).
         settled_pose: (7,) the pose it settles into (g_T^post): for a static release, ``release_pose`` on the ground.
         segments: in the order of execution.
     """
@@ -154,13 +154,17 @@ class Stage:
         return last.goal
 
 
+Outcome = tuple[Stage, ...] | Failure
+"""Stages that lead to the goal, or why there are none."""
+
+
 @dataclass(frozen=True)
 class Phase:
-    """How far planning had come when all that one strategy allows was tried: a plan by that strategy costs just this.
+    """Outcome and cumulative cost once a strategy is exhausted.
 
     Attributes:
         strategy: the strategy.
-        failure: why it has no plan; None if it has the one that was found.
+        failure: why it has no plan; None if it found one.
         eval_grasp_calls, ordered_starts: as in `PlanStats`, up to then.
         seconds: since planning began.
     """
@@ -180,8 +184,8 @@ class PlanStats:
         eval_grasp_calls: evaluated grasps, each member of a batch counted (Table IV).
         ordered_starts: start grasps put in order by bounding boxes, which evaluates none of them.
         seconds: wall-clock seconds by module ("grasp_gen", "stab_pose", "ik_solve", "path_plan", "total").
-        phases: what the strategies tried in turn came to, from the least far-reaching to the one that was asked for or
-            that found the plan. Strategies contain one another, so that it is the same as planning by each.
+        phases: outcomes of the strategies tried in turn, up to the one that found the plan or was asked for. Each
+            strategy contains those before it, so that its phase is what planning by it alone comes to.
     """
 
     eval_grasp_calls: int = 0
@@ -200,7 +204,7 @@ class Plan:
         stages: grasps in the order of execution; empty without success.
         strategy: the strategy asked for.
         stats: see `PlanStats`.
-        seed: seed it was made with.
+        seed: seed of the random starts.
     """
 
     success: bool
@@ -209,3 +213,10 @@ class Plan:
     strategy: Strategy
     stats: PlanStats
     seed: int
+
+    @classmethod
+    def of(cls, outcome: Outcome, strategy: Strategy, seed: int, stats: PlanStats | None = None) -> Plan:
+        """The plan with this outcome."""
+        failed = isinstance(outcome, Failure)
+        failure, stages = (outcome, ()) if failed else (None, outcome)
+        return cls(not failed, failure, stages, strategy, stats or PlanStats(), seed)

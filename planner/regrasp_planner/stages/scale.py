@@ -1,8 +1,8 @@
 """Robots of any size: the planner works with lengths in units of the gripper.
 
-Margins, step sizes, tolerances and heights of the planner's modules suit a gripper that opens `OPENING`. A robot with
-another one is planned for at that size: `shrunk` gives the same robot and task with all lengths multiplied by one
-factor (angles, joint positions and finger coordinates stay as they are), and `grown` brings the stages back to metres.
+Margins, step sizes, tolerances and heights of the planner's modules suit a gripper that opens `OPENING`. Any other
+robot is planned for at that scale: `to_planner_scale` multiplies all lengths of robot and task by one factor (angles,
+joint positions and finger coordinates stay as they are), and `to_metres` brings the stages back.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from regrasp_planner.stages.plan import Stage
 from regrasp_planner.task import Body, Obstacle, ReleaseArea, Scene, Task
 
 OPENING = 0.08
-"""Opening of a gripper that the planner's lengths are given for, metres."""
+"""Gripper opening that the planner's lengths suit, metres."""
 
 _SCALED = IdentityMemo()
 """Robots and bodies at another scale, by factor."""
 
 
-def shrink_factor(robot: Robot) -> float:
-    """By what the lengths of a robot and its tasks are multiplied before planning; exactly 1 for `OPENING`."""
+def planner_scale(robot: Robot) -> float:
+    """Factor that brings the lengths of a robot and its tasks to the planner's scale; exactly 1 for `OPENING`."""
     factor = OPENING / float(robot.gripper.max_opening)
     return 1.0 if abs(factor - 1) < 1e-6 else factor
 
 
-def shrunk(task: Task, robot: Robot) -> tuple[Task, Robot]:
-    """The task and the robot at the size that the planner works with; unchanged where that is their own."""
-    factor = shrink_factor(robot)
+def to_planner_scale(task: Task, robot: Robot) -> tuple[Task, Robot]:
+    """The task and the robot at the planner's scale; the same objects if they are already."""
+    factor = planner_scale(robot)
     return scaled_task(task, factor), scaled_robot(robot, factor)
 
 
-def grown(stages: Sequence[Stage], factor: float) -> tuple[Stage, ...]:
-    """Stages planned at ``factor`` times the real size, back in metres."""
+def to_metres(stages: Sequence[Stage], factor: float) -> tuple[Stage, ...]:
+    """Stages planned at ``factor`` times the real scale, back in metres."""
     return tuple(stages) if factor == 1 else tuple(_stage(stage, 1 / factor) for stage in stages)
 
 
@@ -76,7 +76,7 @@ def scaled_robot(robot: Robot, factor: float) -> Robot:
 
 
 def scaled_task(task: Task, factor: float) -> Task:
-    """The task with all lengths multiplied by ``factor``. What both scenes share they share afterwards, too."""
+    """The task with all lengths multiplied by ``factor``. Obstacles shared by both scenes stay shared."""
     if factor == 1:
         return task
     obstacles: dict[int, Obstacle] = {}

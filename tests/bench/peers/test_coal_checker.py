@@ -14,17 +14,17 @@ from regrasp_bench.peers.ompl_rrt import polyline
 from regrasp_planner.collision.clearance import configuration_clearance
 from regrasp_planner.collision.model import CollisionModel, body_frames
 from regrasp_planner.grasp.grasp import Grasp
-from regrasp_planner.stages.surroundings import Surroundings
+from regrasp_planner.stages.collision_models import CollisionModels
 
 THETA = 0.03
 
 
 @pytest.fixture(scope="module", params=["empty", "holding"])
-def model(request: pytest.FixtureRequest, empty_handed: CollisionModel, surroundings: Surroundings) -> CollisionModel:
+def model(request: pytest.FixtureRequest, empty_handed: CollisionModel, models: CollisionModels) -> CollisionModel:
     if request.param == "empty":
         return empty_handed
     pose = np.append(Rotation.from_euler("xyz", [0.3, 0.2, 1.0]).as_quat(scalar_first=True), [0.01, 0.0, 0.02])
-    return surroundings.holding(Grasp(pose, THETA, 0.04, 1.0, 0.0))
+    return models.holding(Grasp(pose, THETA, 0.04, 1.0, 0.0))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 import regrasp_gym  # noqa: F401  registers the environments
 from regrasp_planner import plan
-from regrasp_planner.stages.scale import scaled_robot, scaled_task, shrink_factor, shrunk
+from regrasp_planner.stages.scale import planner_scale, scaled_robot, scaled_task, to_planner_scale
 
 SIZE = 15.0
 
@@ -25,8 +25,8 @@ def small():
 
 def test_a_hand_of_80_mm_is_left_alone(small):
     task, robot = small
-    assert shrink_factor(robot) == 1
-    assert shrunk(task, robot) == (task, robot)
+    assert planner_scale(robot) == 1
+    assert to_planner_scale(task, robot) == (task, robot)
 
 
 def test_scaling_is_done_once_and_undone(small):
@@ -34,8 +34,8 @@ def test_scaling_is_done_once_and_undone(small):
     large = scaled_robot(robot, SIZE)
     assert scaled_robot(robot, SIZE) is large
     assert large.unit * SIZE == pytest.approx(1)
-    assert shrink_factor(large) * SIZE == pytest.approx(1)
-    back_task, back = shrunk(scaled_task(task, SIZE), large)
+    assert planner_scale(large) * SIZE == pytest.approx(1)
+    back_task, back = to_planner_scale(scaled_task(task, SIZE), large)
     np.testing.assert_allclose(back.links.vertices, robot.links.vertices, atol=1e-12)
     np.testing.assert_allclose(back.gripper.screws, robot.gripper.screws, atol=1e-12)
     np.testing.assert_allclose(back_task.target.hull_vertices(), task.target.hull_vertices(), atol=1e-12)
