@@ -31,7 +31,7 @@ class DisplayError(EnvError, RuntimeError):
     """A window or an off-screen picture was asked for, and there is no way to draw it here."""
 
 
-class BenchError(EnvError, RuntimeError):
+class BenchError(RegraspGymError, RuntimeError):
     """A benchmark that cannot be run here: a peer is not installed, a worker died, a figure has nothing to show."""
 
 

@@ -26,6 +26,7 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from regrasp_gym.objects.model import MAX_HULL_VERTICES
+from regrasp_gym.reports.files import replacing
 from regrasp_planner.errors import GeometryError
 from regrasp_planner.geometry.hull import reduced_hull
 
@@ -225,13 +226,10 @@ def _read(file: Path) -> tuple[Float[np.ndarray, "K 3"], ...] | None:
 
 
 def _write(file: Path, pieces: Sequence[np.ndarray]) -> None:
-    """Under another name first, so that no other process ever reads half a file."""
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".npz", delete=False) as half:
+        with replacing(file) as unfinished:
             arrays: Any = {f"piece_{k}": piece for k, piece in enumerate(pieces)}
-            np.savez_compressed(half, **arrays)
-        os.replace(half.name, file)
+            np.savez_compressed(unfinished, **arrays)
     except OSError as error:
         warnings.warn(
             f"the convex pieces cannot be kept in {file.parent} and are made anew each time: {error}; "

@@ -20,7 +20,7 @@ from regrasp_bench.peers.coal_checker import ExactChecker
 from regrasp_bench.peers.ompl_rrt import polyline, rrt_connect
 from regrasp_bench.peers.optional import import_peer
 from regrasp_bench.tables.benchmark import Presentation, run_benchmark
-from regrasp_bench.tables.path_queries import KINDS, CartesianPath, PathQuery, planner_queries, random_queries
+from regrasp_bench.tables.path_queries import KINDS, CartesianPath, KindedQuery, planner_queries, random_queries
 from regrasp_bench.tables.summary import NOTHING, median, milliseconds, queries_of, seed_range
 from regrasp_gym.reports.plots import OURS, PEER, PEER_LIGHT, cumulative_shares
 from regrasp_gym.reports.report import Record, package_versions
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from regrasp_planner import Trajectory
+    from regrasp_planner.path.query import PathQuery
 
 _TOUCH = 2e-4
 """How much deeper (metres) than at the grasp a contact may become on a straight line."""
@@ -142,10 +143,11 @@ def _prepare(setting: Record) -> Callable[[int], Record]:
     return run
 
 
-def _compare(query: PathQuery, time_limit: float, ours_first: bool) -> Record:
+def _compare(kinded: KindedQuery, time_limit: float, ours_first: bool) -> Record:
+    kind, query = kinded
     checker = ExactChecker(query.space.model, query.space.theta)
     free = checker.free(np.stack([query.start, query.goal]))
-    record: Record = {"kind": query.kind, "free_ends": free}
+    record: Record = {"kind": kind, "free_ends": free}
     planners = {"ours": partial(_ours, query, checker), "rrt": partial(_rrt, query, checker, time_limit)}
     for name in ("ours", "rrt") if ours_first else ("rrt", "ours"):
         # RRT-Connect needs free ends. What PathPlan does with others shows in its own collisions.
@@ -166,7 +168,7 @@ def _check_line(line: CartesianPath) -> Record:
 def _ours(query: PathQuery, checker: ExactChecker) -> Record:
     from regrasp_planner.path.path_plan import plan_path
 
-    solve = partial(plan_path, query.space, query.start, query.goal, query.options)
+    solve = partial(plan_path, query)
     # The first call compiles. Both have the same result, but for the times.
     solve()
     result = solve()

@@ -6,37 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from regrasp_bench.peers.coal_checker import ExactChecker
 
 if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv
     from regrasp_planner import Robot, Task, Trajectory
-    from regrasp_planner.path.options import PathOptions
     from regrasp_planner.path.path_plan import PathResult
+    from regrasp_planner.path.query import LineQuery, PathQuery
     from regrasp_planner.path.space import ConfigurationSpace
+
+type KindedQuery = tuple[str, PathQuery]
+"""A query and its kind, one of `KINDS`."""
 
 KINDS = ("planned", "planned, holding", "random", "random, holding")
 _ATTEMPTS = 1000
-
-
-@dataclass(frozen=True)
-class PathQuery:
-    """One path query.
-
-    Attributes:
-        kind: one of `KINDS`.
-        space: bodies, pairs and finger coordinate.
-        start, goal: (n,) configurations, radians.
-        options: options of PathPlan.
-    """
-
-    kind: str
-    space: ConfigurationSpace
-    start: Float[np.ndarray, " n"]
-    goal: Float[np.ndarray, " n"]
-    options: PathOptions
 
 
 @dataclass(frozen=True)
@@ -52,7 +36,7 @@ class CartesianPath:
     trajectory: Trajectory
 
 
-def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[PathQuery], list[CartesianPath]]:
+def planner_queries(env: RegraspEnv, strategy: str) -> tuple[list[KindedQuery], list[CartesianPath]]:
     """All path queries of one plan of a scene, answered or not, and all straight lines that the planner found."""
     from regrasp_planner import plan
 
@@ -65,43 +49,28 @@ class _Recorder:
     """A `regrasp_planner.stages.motion.PathObserver` that keeps all path queries and all lines found."""
 
     def __init__(self) -> None:
-        self.queries: list[PathQuery] = []
+        self.queries: list[KindedQuery] = []
         self.lines: list[CartesianPath] = []
 
-    def on_path(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        goal: Float[np.ndarray, " n"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
+    def on_path(self, query: PathQuery, result: PathResult) -> None:
         """Keep the query."""
         del result
-        kind = "planned, holding" if "held" in space.model.body_names else "planned"
-        self.queries.append(PathQuery(kind, space, start, goal, options))
+        kind = "planned, holding" if "held" in query.space.model.body_names else "planned"
+        self.queries.append((kind, query))
 
-    def on_line(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        displacement: Float[np.ndarray, " 3"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
+    def on_line(self, query: LineQuery, result: PathResult) -> None:
         """Keep the line, if there is one."""
-        del start, displacement, options
         if result.trajectory is not None:
-            self.lines.append(CartesianPath(space, result.trajectory))
+            self.lines.append(CartesianPath(query.space, result.trajectory))
 
 
-def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[PathQuery]:
+def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generator) -> list[KindedQuery]:
     """Random pairs of free configurations with an obstacle between, with an empty gripper and with the target in it.
 
     There are ``count`` of each kind, or fewer if `_ATTEMPTS` do not find them.
     """
     from regrasp_planner.grasp.grasp_gen import generate_grasps
-    from regrasp_planner.path.options import PathOptions
+    from regrasp_planner.path.query import PathQuery
     from regrasp_planner.path.space import ConfigurationSpace
     from regrasp_planner.stages.collision_models import CollisionModels
     from regrasp_planner.stages.options import MotionOptions
@@ -111,16 +80,16 @@ def random_queries(task: Task, robot: Robot, count: int, rng: np.random.Generato
     grasps = generate_grasps(task.target, (task.pick,), robot.gripper).grasps
     if grasps:
         worlds.append(("random, holding", models.holding(grasps[0]), float(grasps[0].theta)))
-    queries: list[PathQuery] = []
+    queries: list[KindedQuery] = []
     for kind, model, theta in worlds:
         space = ConfigurationSpace(model, theta)
         checker = ExactChecker(model, theta)
-        found: list[PathQuery] = []
+        found: list[KindedQuery] = []
         for _ in range(_ATTEMPTS):
             if len(found) == count:
                 break
             start, goal = rng.uniform(space.lower, space.upper, (2, robot.arm.dof))
             if checker.free(np.stack([start, goal])) and not checker.free(np.linspace(start, goal, 200)):
-                found.append(PathQuery(kind, space, start, goal, PathOptions()))
+                found.append((kind, PathQuery(space, start, goal)))
         queries += found
     return queries

@@ -59,7 +59,7 @@ class GraspSearch:
         grader: ReachabilityGrader | None = None,
         seed: int = 0,
     ) -> None:
-        self.target, self.scenes = target, tuple(scenes)
+        self.target, self.scenes, self.gripper = target, tuple(scenes), gripper
         self.options, self.seed = options or GraspGenOptions(), seed
         self.ordered = 0
         self._hand = OpenGripper.of(gripper, self.options.margin)

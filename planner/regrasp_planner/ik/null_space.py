@@ -11,13 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from regrasp_planner.collision.model import (
-    CollisionArrays,
-    body_frames,
-    gripper_pairs,
-    pair_bounds,
-    pair_clearances,
-)
+from regrasp_planner.collision.model import CollisionArrays, body_frames
+from regrasp_planner.collision.pairs import gripper_pairs, pair_bounds, pair_clearances
 from regrasp_planner.ik.candidates import STARTS, TargetSearch, by_model, descend, screen
 from regrasp_planner.optim.augmented_lagrangian import Options, Stall, augmented_lagrangian
 from regrasp_planner.optim.manifold import Euclidean

@@ -15,6 +15,7 @@ from regrasp_planner.path.guesses import initial_guesses, rank_guesses, retreats
 from regrasp_planner.path.optimizer import Rows, bspline, fit_control_points, optimize_path
 from regrasp_planner.path.options import PathOptions
 from regrasp_planner.path.polyline import inner_points
+from regrasp_planner.path.query import PathQuery
 from regrasp_planner.path.rrt import rrt_connect, shortcut
 from regrasp_planner.path.trajectory import Trajectory, joined, time_parametrize
 
@@ -43,21 +44,15 @@ class Attempt:
     iterations: int = 0
 
 
-def path_attempts(
-    clearance: PathClearance,
-    start: Float[np.ndarray, " n"],
-    goal: Float[np.ndarray, " n"],
-    options: PathOptions,
-    rng: np.random.Generator,
-) -> Iterator[Attempt]:
+def path_attempts(query: PathQuery, clearance: PathClearance, rng: np.random.Generator) -> Iterator[Attempt]:
     """Attempts at a path from start to goal, each made only when it is asked for.
 
     Args:
+        query: the query, its ends within the joint limits.
         clearance: the distances to keep, with the path's ends.
-        start, goal: (n,) configurations within the limits, radians.
-        options: see `PathOptions`.
         rng: source of the random guesses and of the search.
     """
+    start, goal, options = query.start, query.goal, query.options
     line = np.stack([start, goal])
     if clearance.free(inner_points(line, 24)).all():
         yield timed_attempt(clearance, _straight(line), options, "straight")
@@ -68,7 +63,7 @@ def path_attempts(
         for guess in some:
             yield _optimized(clearance, guess, options, "optimised")
         if share:
-            yield from _searched(clearance, start, goal, options, rng, share)
+            yield from _searched(query, clearance, rng, share)
 
 
 def timed_attempt(clearance: PathClearance, path: BSpline, options: PathOptions, method: str) -> Attempt:
@@ -129,16 +124,9 @@ def _optimized(
     return attempt
 
 
-def _searched(
-    clearance: PathClearance,
-    start: Float[np.ndarray, " n"],
-    goal: Float[np.ndarray, " n"],
-    options: PathOptions,
-    rng: np.random.Generator,
-    rounds: int,
-) -> Iterator[Attempt]:
+def _searched(query: PathQuery, clearance: PathClearance, rng: np.random.Generator, rounds: int) -> Iterator[Attempt]:
     """A polyline found by RRT-Connect and shortened: optimised, or as it is, with a rest at each corner."""
-    space = clearance.space
+    start, goal, space, options = query.start, query.goal, query.space, query.options
     branches = [line[::6] for q in (start, goal) for line in retreats(space, q)]
     polyline = rrt_connect(
         start, goal, clearance.free, space.lower, space.upper, rng, max_rounds=rounds, branches=branches

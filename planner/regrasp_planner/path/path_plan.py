@@ -15,7 +15,7 @@ its whole duration, between samples too (`certificate`).
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -26,6 +26,7 @@ from regrasp_planner.path.attempts import Attempt, path_attempts, timed_attempt
 from regrasp_planner.path.clearance import Collision, PathClearance, path_clearance
 from regrasp_planner.path.optimizer import bspline
 from regrasp_planner.path.options import PathOptions
+from regrasp_planner.path.query import LineQuery, PathQuery
 from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory, interpolating_path
 
@@ -72,73 +73,53 @@ class PathResult:
         return self.status is PathStatus.SUCCESS
 
 
-def plan_path(
-    space: ConfigurationSpace,
-    start: Float[np.ndarray, " n"],
-    goal: Float[np.ndarray, " n"],
-    options: PathOptions | None = None,
-    seed: int = 0,
-) -> PathResult:
+def plan_path(query: PathQuery, seed: int = 0) -> PathResult:
     """A collision-free, smooth motion from start to goal, from rest to rest within the limits.
 
     Args:
-        space: the robot and what it may hit; finger coordinate.
-        start, goal: (n,) configurations, radians.
-        options: see `PathOptions`.
+        query: from where to where, among what.
         seed: seed of the random guesses and the search.
 
     Raises:
         ValueError: for configurations of the wrong shape or not finite. Everything else is a status.
     """
     began = time.perf_counter()
-    result = _plan(space, space.configuration(start), space.configuration(goal), options or PathOptions(), seed)
+    start, goal = (query.space.configuration(q) for q in (query.start, query.goal))
+    result = _plan(replace(query, start=start, goal=goal), seed)
     result.stats["seconds"] = time.perf_counter() - began
     return result
 
 
-def cartesian_path(
-    space: ConfigurationSpace,
-    start: Float[np.ndarray, " n"],
-    displacement: Float[np.ndarray, " 3"],
-    options: PathOptions | None = None,
-) -> PathResult:
+def cartesian_path(query: LineQuery) -> PathResult:
     """Move the gripper along a straight line with fixed orientation: approach, lift, lower, retreat.
 
     Args:
-        space: as in `plan_path`; pairs meant to touch (pads and target) are left out of its model.
-        start: (n,) configuration, radians.
-        displacement: (3,) of the gripper in world axes, metres.
-        options: see `PathOptions`.
+        query: from where and how far, among what.
 
     Raises:
         ValueError: for arrays of the wrong shape or not finite.
     """
     began = time.perf_counter()
-    displacement = np.asarray(displacement, float)
+    displacement = np.asarray(query.displacement, float)
     if displacement.shape != (3,) or not np.isfinite(displacement).all():
         raise ValueError(f"displacement must be 3 finite metres, got {displacement}")
-    result = _follow(space, space.configuration(start), displacement, options or PathOptions())
+    result = _follow(replace(query, start=query.space.configuration(query.start), displacement=displacement))
     result.stats["seconds"] = time.perf_counter() - began
     return result
 
 
-def _plan(
-    space: ConfigurationSpace,
-    start: Float[np.ndarray, " n"],
-    goal: Float[np.ndarray, " n"],
-    options: PathOptions,
-    seed: int,
-) -> PathResult:
+def _plan(query: PathQuery, seed: int) -> PathResult:
+    space, options = query.space, query.options
     clearance = path_clearance(space, extra_margin=_SLACK)
-    failure = _end_failure(clearance, start, PathStatus.START_IN_COLLISION, options.contact_tolerance)
+    failure = _end_failure(clearance, query.start, PathStatus.START_IN_COLLISION, options.contact_tolerance)
     if failure is None:
-        failure = _end_failure(clearance, goal, PathStatus.GOAL_IN_COLLISION, _held_contact(space, options))
+        failure = _end_failure(clearance, query.goal, PathStatus.GOAL_IN_COLLISION, _held_contact(space, options))
     if failure is not None:
         return failure
-    start, goal = space.clipped(start), space.clipped(goal)
+    query = replace(query, start=space.clipped(query.start), goal=space.clipped(query.goal))
     iterations, collision = 0, None
-    between = clearance.between(start, goal)
-    for attempt in path_attempts(between, start, goal, options, np.random.default_rng(seed)):
+    between = clearance.between(query.start, query.goal)
+    for attempt in path_attempts(query, between, np.random.default_rng(seed)):
         iterations += attempt.iterations
         if attempt.trajectory is not None:
             return _success(attempt, iterations)
@@ -146,20 +127,16 @@ def _plan(
     return _failure(space, PathStatus.NO_PATH, collision, iterations)
 
 
-def _follow(
-    space: ConfigurationSpace,
-    start: Float[np.ndarray, " n"],
-    displacement: Float[np.ndarray, " 3"],
-    options: PathOptions,
-) -> PathResult:
+def _follow(query: LineQuery) -> PathResult:
+    space, start, options = query.space, query.start, query.options
     clearance = path_clearance(space, extra_margin=_SLACK)
     failure = _end_failure(clearance, start, PathStatus.START_IN_COLLISION, options.contact_tolerance)
     if failure is not None:
         return failure
     start = space.clipped(start)
-    line = follow_line(space.kinematics, start, displacement)
+    line = follow_line(space.kinematics, start, query.displacement)
     if line.fraction < 1.0:
-        return _out_of_reach(space, line, float(np.linalg.norm(displacement)))
+        return _out_of_reach(space, line, float(np.linalg.norm(query.displacement)))
     goal = line.configurations[-1]
     failure = _end_failure(clearance, goal, PathStatus.LINE_IN_COLLISION, _held_contact(space, options))
     if failure is not None:

@@ -6,7 +6,7 @@ first, from the configurations at the grasp outwards, since they fail soonest; t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
 from typing import NamedTuple, Protocol
@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_planner.collision.model import CollisionModel
-from regrasp_planner.path.options import PathOptions
 from regrasp_planner.path.path_plan import PathResult, cartesian_path, plan_path
+from regrasp_planner.path.query import LineQuery, PathQuery
 from regrasp_planner.path.space import ConfigurationSpace
 from regrasp_planner.path.trajectory import Trajectory
 from regrasp_planner.pose import Pose, rigid
@@ -30,26 +30,12 @@ from regrasp_planner.stages.plan import Failure, Segment, SegmentKind, Stage, St
 class PathObserver(Protocol):
     """Told of every query of PathPlan and its result. Lengths are at the planner's scale (`stages.scale`)."""
 
-    def on_path(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        goal: Float[np.ndarray, " n"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
-        """After `plan_path`, with its arguments."""
+    def on_path(self, query: PathQuery, result: PathResult) -> None:
+        """Called after each `plan_path`."""
         ...
 
-    def on_line(
-        self,
-        space: ConfigurationSpace,
-        start: Float[np.ndarray, " n"],
-        displacement: Float[np.ndarray, " 3"],
-        options: PathOptions,
-        result: PathResult,
-    ) -> None:
-        """After `cartesian_path`, with its arguments."""
+    def on_line(self, query: LineQuery, result: PathResult) -> None:
+        """Called after each `cartesian_path`."""
         ...
 
 
@@ -110,6 +96,14 @@ class _Lines(NamedTuple):
     opening: float
     lift: Trajectory
 
+    def pick(self) -> ApproachDepart:
+        """To the target with the empty gripper, and up with the target."""
+        return ApproachDepart(self.withdraw.reversed(), self.lift, self.opening)
+
+    def place(self) -> ApproachDepart:
+        """Down with the target, and off it with the empty gripper."""
+        return ApproachDepart(self.lift.reversed(), self.withdraw, self.opening)
+
 
 class StageMotion:
     """Plans the motion of stages.
@@ -128,24 +122,22 @@ class StageMotion:
     def pick_motions(self, kind: StageKind, ik: GraspIk) -> LazyMotions:
         """Approach and lift at the pick."""
         tried = self._lines(kind, ik, (ik.grasp.opening,), self.options.lift, (SegmentKind.APPROACH, SegmentKind.LIFT))
-        motions = (
-            lines
-            if isinstance(lines, Failure)
-            else ApproachDepart(lines.withdraw.reversed(), lines.lift, lines.opening)
-            for lines in tried
-        )
-        return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
+        return self._motions(kind, ik, tried, _Lines.pick)
 
     def place_motions(self, kind: StageKind, ik: GraspIk, wide: bool = False) -> LazyMotions:
         """Lowering and retreat at the release; ``wide``: with the fingers opened all the way if there is room."""
         openings = (float(self._gripper.upper), ik.grasp.opening) if wide else (ik.grasp.opening,)
         tried = self._lines(kind, ik, openings, self.options.lower, (SegmentKind.RETREAT, SegmentKind.LOWER))
-        motions = (
-            lines
-            if isinstance(lines, Failure)
-            else ApproachDepart(lines.lift.reversed(), lines.withdraw, lines.opening)
-            for lines in tried
-        )
+        return self._motions(kind, ik, tried, _Lines.place)
+
+    def _motions(
+        self,
+        kind: StageKind,
+        ik: GraspIk,
+        tried: Iterator[_Lines | Failure],
+        motion: Callable[[_Lines], ApproachDepart],
+    ) -> LazyMotions:
+        motions = (lines if isinstance(lines, Failure) else motion(lines) for lines in tried)
         return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
 
     def connect(
@@ -266,10 +258,11 @@ class StageMotion:
         theta = 0.0
         for space, displacement in tries:
             theta = space.theta
+            query = LineQuery(space, q, displacement, self.options.path)
             with self.clock("path_plan"):
-                result = cartesian_path(space, q, displacement, self.options.path)
+                result = cartesian_path(query)
             if self.observer is not None:
-                self.observer.on_line(space, q, displacement, self.options.path, result)
+                self.observer.on_line(query, result)
             if result.trajectory is not None:
                 break
         assert result is not None
@@ -279,9 +272,9 @@ class StageMotion:
         self, model: CollisionModel, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"], theta: float
     ) -> PathResult:
         """A path between two configurations at finger coordinate ``theta``."""
-        space = ConfigurationSpace(model, theta)
+        query = PathQuery(ConfigurationSpace(model, theta), start, goal, self.options.path)
         with self.clock("path_plan"):
-            result = plan_path(space, start, goal, self.options.path, self.seed)
+            result = plan_path(query, self.seed)
         if self.observer is not None:
-            self.observer.on_path(space, start, goal, self.options.path, result)
+            self.observer.on_path(query, result)
         return result

@@ -16,8 +16,8 @@ from regrasp_bench.tables.path_queries import random_queries
 def test_rrt_connect_goes_round_what_is_in_the_way(world: Any) -> None:
     task, robot = world.task(), world.planner_robot
     queries = random_queries(task, robot, 2, np.random.default_rng(0))
-    assert [query.kind for query in queries] == ["random"] * 2 + ["random, holding"] * 2
-    for query in queries:
+    assert [kind for kind, _ in queries] == ["random"] * 2 + ["random, holding"] * 2
+    for _, query in queries:
         checker = ExactChecker(query.space.model, query.space.theta)
         assert checker.free(np.stack([query.start, query.goal]))
         assert checker.collisions(polyline(np.stack([query.start, query.goal])))
@@ -32,7 +32,7 @@ def test_rrt_connect_goes_round_what_is_in_the_way(world: Any) -> None:
 
 
 def test_rrt_connect_gives_up_in_time(world: Any) -> None:
-    query = random_queries(world.task(), world.planner_robot, 1, np.random.default_rng(0))[0]
+    _, query = random_queries(world.task(), world.planner_robot, 1, np.random.default_rng(0))[0]
 
     class Nowhere(ExactChecker):
         def free(self, q: np.ndarray) -> bool:

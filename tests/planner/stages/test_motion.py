@@ -49,10 +49,10 @@ def test_an_observer_is_told_of_every_path_of_the_plan(panda, make_task, build):
         def __init__(self):
             self.paths, self.lines = [], []
 
-        def on_path(self, space, start, goal, options, result):
+        def on_path(self, query, result):
             self.paths.append(result.trajectory)
 
-        def on_line(self, space, start, displacement, options, result):
+        def on_line(self, query, result):
             self.lines.append(result.trajectory)
 
     recorder = Recorder()
