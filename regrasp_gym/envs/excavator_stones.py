@@ -8,27 +8,13 @@ import numpy as np
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.rendering.setting import SITE, Camera
-from regrasp_gym.robots import excavator
+from regrasp_gym.robots.excavator import EXCAVATOR
 from regrasp_gym.scenes.slopes import make_scene
 from regrasp_gym.scenes.slopes_config import MAX_OTHERS, SlopesConfig
-from regrasp_gym.simulation.scenario import RobotSetup, Scenario, Tolerance
+from regrasp_gym.simulation.scenario import Scenario, Tolerance
 
 if TYPE_CHECKING:
     from regrasp_planner import PlanOptions
-
-EXCAVATOR = RobotSetup(
-    build_spec=excavator.build_spec,
-    planner_robot=excavator.planner_robot,
-    arm_joints=excavator.ARM_JOINTS,
-    arm_actuators=excavator.ARM_ACTUATORS,
-    finger_joints=excavator.FINGER_JOINTS,
-    gripper_actuator=excavator.GRIPPER_ACTUATOR,
-    tcp_site=excavator.TCP_SITE,
-    home=excavator.HOME,
-    max_velocity=excavator.MAX_VELOCITY,
-    theta_range=excavator.THETA_RANGE,
-)
-"""The excavator as the environment drives it."""
 
 EXCAVATOR_STONES = Scenario(
     robot=EXCAVATOR,

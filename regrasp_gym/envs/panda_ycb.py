@@ -8,24 +8,10 @@ import numpy as np
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.rendering.setting import Camera
-from regrasp_gym.robots import panda
+from regrasp_gym.robots.panda import PANDA
 from regrasp_gym.scenes.table_shelf import make_scene
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
-from regrasp_gym.simulation.scenario import RobotSetup, Scenario, Tolerance
-
-PANDA = RobotSetup(
-    build_spec=panda.build_spec,
-    planner_robot=panda.planner_robot,
-    arm_joints=panda.ARM_JOINTS,
-    arm_actuators=panda.ARM_ACTUATORS,
-    finger_joints=panda.FINGER_JOINTS,
-    gripper_actuator=panda.GRIPPER_ACTUATOR,
-    tcp_site=panda.TCP_SITE,
-    home=panda.HOME,
-    max_velocity=panda.MAX_VELOCITY,
-    theta_range=(0.0, panda.OPEN_THETA),
-)
-"""The Panda as the environment drives it."""
+from regrasp_gym.simulation.scenario import Scenario, Tolerance
 
 PANDA_YCB = Scenario(
     robot=PANDA,

@@ -10,6 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial import ConvexHull
 
+COLLISION_GROUP = 3
+"""Geom group of the shapes that touch."""
+
 VISUAL_GROUP = 2
 """Geom group of all visual surfaces."""
 

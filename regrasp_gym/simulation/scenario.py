@@ -4,45 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from regrasp_gym.rendering.setting import TABLE_TOP, Camera, Setting
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_gym.scenes.scene import Scene
-
-if TYPE_CHECKING:
-    from regrasp_planner.robot.model import Robot
-
-
-@dataclass(frozen=True, eq=False)
-class RobotSetup:
-    """A robot for the environment: names in its MuJoCo specification, and limits.
-
-    Attributes:
-        build_spec: a new specification of the robot alone.
-        planner_robot: makes the planner's `Robot` from the same specification.
-        arm_joints, arm_actuators: n names each, base to wrist; ctrl is the joint's position, radians.
-        finger_joints: names of the finger joints, driven as one.
-        gripper_actuator: name; ctrl is the finger coordinate θ.
-        tcp_site: site of the gripper frame.
-        home: (n,) configuration at the start of an episode, radians.
-        max_velocity: (n,) largest rate of the commanded joint positions, rad/s.
-        theta_range: least and greatest θ, metres for sliding fingers, radians for jaws; greater is wider.
-    """
-
-    build_spec: Callable[[], mujoco.MjSpec]
-    planner_robot: Callable[[], Robot]
-    arm_joints: tuple[str, ...]
-    arm_actuators: tuple[str, ...]
-    finger_joints: tuple[str, ...]
-    gripper_actuator: str
-    tcp_site: str
-    home: Float[np.ndarray, " n"]
-    max_velocity: Float[np.ndarray, " n"]
-    theta_range: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)

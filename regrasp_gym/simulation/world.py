@@ -11,9 +11,10 @@ from jaxtyping import Float
 from regrasp_gym.errors import SceneError, StateError
 from regrasp_gym.geometry.poses import Pose, canonical, mujoco_quaternion
 from regrasp_gym.rendering.setting import GOAL_GROUP, GOAL_RGBA, add_visuals
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_gym.scenes.scene import Fixture, Scene
 from regrasp_gym.simulation import physics
-from regrasp_gym.simulation.scenario import RobotSetup, Scenario
+from regrasp_gym.simulation.scenario import Scenario
 
 _GOAL = "goal"
 """Name of the body that shows the goal."""

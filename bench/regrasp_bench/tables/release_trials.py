@@ -41,9 +41,9 @@ _BATCHES = 4
 
 def prepare(setting: Record) -> Callable[[int], Record]:
     """The function that runs a trial, with the Panda's gripper."""
-    from regrasp_gym.robots.panda import planner_robot
+    from regrasp_gym.robots.panda import PANDA
 
-    return partial(_release, planner_robot().gripper)
+    return partial(_release, PANDA.planner_robot().gripper)
 
 
 def _release(gripper: Gripper, trial: int) -> Record:

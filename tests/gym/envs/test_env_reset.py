@@ -84,14 +84,21 @@ def test_bad_options_are_named(env, options, error, message):
 class OwnScene(Scene):
     """A scene with the objects that a test gives it."""
 
-    others: tuple[PlacedObject, ...]
-    instruction: str
+    objects: tuple[PlacedObject, ...]
+
+    @property
+    def others(self):
+        return self.objects
+
+    @property
+    def instruction(self):
+        return "put the target at its goal"
 
 
 def with_others(scene, others):
     """The scene with other objects around the target."""
     fields = {field.name: getattr(scene, field.name) for field in dataclasses.fields(Scene)}
-    return OwnScene(**fields, others=tuple(others), instruction=scene.instruction)
+    return OwnScene(**fields, objects=tuple(others))
 
 
 def test_a_scene_with_the_same_object_twice_is_refused(facts, env):

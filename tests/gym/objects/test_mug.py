@@ -10,12 +10,13 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from standing import upright
 
 import regrasp_gym
-from regrasp_gym.envs.panda_ycb import PANDA
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects import OBJECTS, solid
 from regrasp_gym.objects.shapes import lathe
+from regrasp_gym.robots.panda import PANDA
 from regrasp_gym.scenes.graspable import graspable_by_part
 from regrasp_gym.scenes.resting import resting_poses, upright_pose
 from regrasp_gym.scenes.table_shelf import make_scene
@@ -36,8 +37,7 @@ def gripper() -> Gripper:
 def grasps(gripper: Gripper) -> tuple[Grasp, ...]:
     table = Body("table", (ConvexBody.box((1.0, 1.0, 0.04)),), np.zeros(3))
     obstacle = Obstacle(table, np.array([1.0, 0, 0, 0, 0, 0, -0.02]))
-    upright = np.array([1.0, 0, 0, 0, 0, 0, MUG.height_above_base])
-    return generate_grasps(MUG.body(), (Scene("pick", upright, (obstacle,)),), gripper).grasps
+    return generate_grasps(MUG.body(), (Scene("pick", upright(MUG), (obstacle,)),), gripper).grasps
 
 
 def bodies(gripper: Gripper, grasp: Grasp, theta: float) -> list[np.ndarray]:
@@ -78,8 +78,8 @@ def test_stable_poses_are_those_of_the_hull_of_the_whole() -> None:
     found = stable_poses(body.hull_vertices(), body.center_of_mass)
     for direction in found.directions:
         assert np.abs(whole.equations[:, :3] - direction).max(axis=1).min() < 1e-6
-    upright = found.probability[found.directions @ [0, 0, -1] > 0.999].sum()
-    assert upright == pytest.approx(upright_pose(MUG).probability, abs=0.05)
+    share = found.probability[found.directions @ [0, 0, -1] > 0.999].sum()
+    assert share == pytest.approx(upright_pose(MUG).probability, abs=0.05)
 
 
 def test_it_counts_as_graspable_and_solid_things_of_its_size_do_not() -> None:
