@@ -1,7 +1,7 @@
-"""Gymnasium environments for pick-and-place in which one grasp is not enough.
+"""Gymnasium environments for pick-and-place with regrasp.
 
-Importing the package registers the environments. On a Linux machine without a display it also chooses MuJoCo's
-off-screen backend, unless ``MUJOCO_GL`` is set; for that it has to be imported before MuJoCo.
+Importing the package registers the environments. On Linux without a display it also chooses MuJoCo's off-screen
+backend, unless ``MUJOCO_GL`` is set; this needs an import before MuJoCo's.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _register() -> None:
 
 
 def __getattr__(name: str) -> object:
-    # Loaded on first use: the planner brings JAX, which stepping an environment does not need.
+    # Loaded on first use: the planner loads JAX, which stepping does not need.
     if name == "PlannerExpert":
         from regrasp_gym.expert.expert import PlannerExpert
 

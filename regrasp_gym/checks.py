@@ -1,4 +1,4 @@
-"""Checks of configurations. Each raises `SceneError`, which names the field, its value and what it may be."""
+"""Checks of configurations. Each raises a `SceneError` that names the field, its value and what it may be."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from regrasp_gym.errors import SceneError
 
 
 def check_ranges(config: object, *fields: str, least: float = -math.inf) -> None:
-    """Fields that hold a least and a greatest value, neither below ``least``."""
+    """Fields are (least, greatest) pairs, neither value below ``least``."""
     for field in fields:
         low, high = getattr(config, field)
         if not least <= low <= high:
@@ -20,7 +20,7 @@ def check_ranges(config: object, *fields: str, least: float = -math.inf) -> None
 
 
 def check_positive(config: object, *fields: str) -> None:
-    """Fields that hold numbers greater than 0."""
+    """Fields are numbers greater than 0."""
     for field in fields:
         value = getattr(config, field)
         if not np.min(value) > 0:
@@ -28,7 +28,7 @@ def check_positive(config: object, *fields: str) -> None:
 
 
 def check_probabilities(config: object, *fields: str) -> None:
-    """Fields that hold a probability."""
+    """Fields are probabilities."""
     for field in fields:
         value = getattr(config, field)
         if not 0 <= value <= 1:
@@ -36,7 +36,7 @@ def check_probabilities(config: object, *fields: str) -> None:
 
 
 def check_names(config: object, *fields: str, known: Collection[str], least: int = 1) -> None:
-    """Fields that hold at least this many names, all of them known."""
+    """Fields are collections of at least ``least`` names, all known."""
     for field in fields:
         names = getattr(config, field)
         if len(names) < least:
@@ -47,6 +47,6 @@ def check_names(config: object, *fields: str, known: Collection[str], least: int
 
 
 def check_seed(seed: int, of: str) -> None:
-    """The seed of a scene or of a stone."""
+    """The seed is not negative; ``of`` names what it is the seed of."""
     if seed < 0:
         raise SceneError(f"{of} seed is {seed}; give a non-negative integer")

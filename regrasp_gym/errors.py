@@ -1,14 +1,14 @@
-"""Exceptions of this project other than the planner's. Each message names the thing, its value and the fix."""
+"""Exceptions other than the planner's. Each message names the thing, its value and the fix."""
 
 from __future__ import annotations
 
 
 class RegraspGymError(Exception):
-    """Base of every exception that environments, datasets, training and benchmarks raise on purpose."""
+    """Base of all exceptions of environments, datasets, training and benchmarks."""
 
 
 class EnvError(RegraspGymError):
-    """Base of every exception that the environments raise on purpose."""
+    """Base of all exceptions of the environments."""
 
 
 class ActionError(EnvError, ValueError):
@@ -28,12 +28,12 @@ class StateError(EnvError, ValueError):
 
 
 class DisplayError(EnvError, RuntimeError):
-    """A window or an off-screen picture was asked for, and there is no way to draw it here."""
+    """A window or an off-screen picture cannot be drawn on this machine."""
 
 
-class BenchError(EnvError, RuntimeError):
+class BenchError(RegraspGymError, RuntimeError):
     """A benchmark that cannot be run here: a peer is not installed, a worker died, a figure has nothing to show."""
 
 
 class MissingExtraError(RegraspGymError, ImportError):
-    """A command needs packages of an extra that is not installed."""
+    """A command needs an extra that is not installed."""

@@ -1,4 +1,4 @@
-"""The dataset card: a README in Hugging Face's format, written from what the dataset holds."""
+"""The dataset card: a README in Hugging Face's format, generated from the dataset."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write_card(root: Path, *, name: str | None = None) -> None:
 
 
 def card(root: Path, *, name: str) -> str:
-    """The text of the card, every figure counted in the dataset itself.
+    """Text of the card; every figure is counted in the dataset.
 
     Raises:
         DatasetError: there is no dataset at ``root``.
@@ -92,7 +92,7 @@ def card(root: Path, *, name: str) -> str:
     ]
     if causes:
         lines += [
-            "## Seeds that did not make it",
+            "## Failed seeds",
             "",
             "| why | seeds |",
             "|---|---|",
@@ -100,10 +100,10 @@ def card(root: Path, *, name: str) -> str:
             "",
         ]
     lines += [
-        "## Running an episode again",
+        "## Replaying an episode",
         "",
-        "`meta/regrasp_episodes.jsonl` holds, for every episode, the seed, the environment and digests of the physics",
-        "state at both ends. `regrasp-replay --root FOLDER` runs all actions again and compares to the last bit.",
+        "`meta/regrasp_episodes.jsonl` holds the seed, the environment and digests of the first and last physics state",
+        "of every episode. `regrasp-replay --root FOLDER` runs all actions again and compares to the last bit.",
         "",
     ]
     return "\n".join(lines)

@@ -196,7 +196,7 @@ def _run(options: CollectOptions, workspace: Workspace, console: Console) -> Non
     from regrasp_datasets.rollout import RolloutOptions
     from regrasp_datasets.workers import WorkerOptions, WorkerPool
 
-    config = WorkerOptions(
+    worker_options = WorkerOptions(
         rollout=RolloutOptions(options.env, env_kwargs_of(options), options.expert, options.strategy),
         shards=workspace.shards,
         logs=workspace.logs,
@@ -215,7 +215,7 @@ def _run(options: CollectOptions, workspace: Workspace, console: Console) -> Non
     console.print(
         f"Starting {options.workers} worker(s). The first plans compile the planner for minutes, once per machine."
     )
-    with WorkerPool(config, options.workers) as pool, _progress(console) as progress:
+    with WorkerPool(worker_options, options.workers) as pool, _progress(console) as progress:
         bar = progress.add_task(
             "episodes", total=options.episodes, completed=len(chosen.seeds), note="starting workers"
         )
@@ -240,7 +240,9 @@ def _run(options: CollectOptions, workspace: Workspace, console: Console) -> Non
                 progress.console.print(attempt_line(attempt), soft_wrap=True, highlight=False)
                 crashes = crashes + 1 if attempt.outcome == "crashed" else 0
                 if crashes == 3:
-                    raise CollectError(f"Three attempts in a row crashed, the last: {attempt.reason} ({config.logs})")
+                    raise CollectError(
+                        f"Three attempts in a row crashed, the last: {attempt.reason} ({workspace.logs})"
+                    )
             chosen = _select(options, workspace)
             tried = len(workspace.attempts)
             progress.update(bar, completed=len(chosen.seeds), note=f"{tried} seeds tried")

@@ -71,16 +71,9 @@ def report(
     records = read_episodes(options.root) if options.root.exists() else []
     table = Table("#", "seed", "object", "strategy", "stages", "planning s", "frames", "success", box=None)
     for record in records:
-        table.add_row(
-            str(record.episode_index),
-            str(record.seed),
-            record.target,
-            record.strategy,
-            str(record.stages),
-            f"{record.planning_seconds:.2f}",
-            str(record.frames),
-            "yes" if record.success else "no",
-        )
+        planning, success = f"{record.planning_seconds:.2f}", "yes" if record.success else "no"
+        row = (record.episode_index, record.seed, record.target, record.strategy, record.stages)
+        table.add_row(*map(str, row), planning, str(record.frames), success)
     console.print(table)
     causes = failure_causes(attempts)
     for cause, count in causes.most_common():

@@ -1,8 +1,8 @@
-"""What one frame of a dataset holds: the table of features, and how an environment's step becomes a frame.
+"""The features of a dataset, and how a step of an environment becomes a frame.
 
-A frame pairs what was observed *before* a step with the action taken and with what that step brought:
-``observation.*``, ``action``, ``stage_index`` and ``seed`` belong to time t, ``next.*`` to time t + 1. The observation
-after the last step is not stored; replaying the episode gives it.
+A frame holds the observation *before* a step, the action and the outcome: ``observation.*``, ``action``,
+``stage_index`` and ``seed`` belong to time t, ``next.*`` to time t + 1. The observation after the last step is not
+stored; replaying the episode gives it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SEED = "seed"
 IMAGES_OBS_TYPE = "pixels_agent_pos"
 """``obs_type`` with camera images."""
 VECTORS_OBS_TYPE = "state"
-"""``obs_type`` in which nothing is rendered; `observe` gives the same vectors as with images."""
+"""``obs_type`` without rendering; `observe` gives the same vectors as with images."""
 
 POSE_NAMES = ("qw", "qx", "qy", "qz", "x", "y", "z")
 SIZE_NAMES = ("half_x", "half_y", "half_z")
@@ -42,29 +42,29 @@ ENTRY_NAMES = {7: POSE_NAMES, 3: SIZE_NAMES, 11: ("present", *POSE_NAMES, *SIZE_
 MEANING = {
     STATE: "joint positions (rad) and finger coordinate, before the step",
     ENVIRONMENT_STATE: "poses (wxyz, m) and half sizes (m) of target, goal and other objects, before the step",
-    ACTION: "action given to the environment, exactly as it was stepped",
+    ACTION: "action given to the environment, unchanged",
     REWARD: "reward of the step",
     SUCCESS: "whether the task counts as solved after the step",
     DONE: "true on the episode's last frame only",
     TRUNCATED: "true if the time limit ended the episode at this step",
-    STAGE_INDEX: "stage of the plan that the action belongs to, from 0; one grasp is held per stage",
-    SEED: "seed that `reset` was given; it recreates the scene",
+    STAGE_INDEX: "stage of the plan that the action belongs to, from 0; each stage has one grasp",
+    SEED: "seed given to `reset`; it recreates the scene",
 }
 """One line per feature, for the dataset card."""
 
 
 class FeatureError(RegraspGymError, ValueError):
-    """An environment whose observations or actions do not fit into a dataset."""
+    """An environment's observations or actions do not fit a dataset."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What a frame keeps of a state.
+    """The observation that a frame stores.
 
     Attributes:
-        state: (n,) float32, the robot.
-        environment_state: (m,) float32, everything else.
-        images: camera → (H, W, 3) uint8.
+        state: (n,) float32, joints of the robot.
+        environment_state: (m,) float32, poses and sizes of everything else.
+        images: (H, W, 3) uint8 by camera.
     """
 
     state: np.ndarray
@@ -78,8 +78,8 @@ class Step:
 
     Attributes:
         observation: the state before the step.
-        action: (a,) float32, exactly as given to the environment.
-        stage_index: stage of the plan the action belongs to.
+        action: (a,) float32, as given to the environment.
+        stage_index: stage of the plan that the action belongs to.
         reward: reward of the step.
         success: ``info["is_success"]`` after the step.
         truncated: whether the time limit ended the episode at this step.
@@ -97,7 +97,7 @@ def base_env(env: gym.Env) -> RegraspEnv:
     """The environment below the wrappers.
 
     Raises:
-        FeatureError: it is not one of this project's.
+        FeatureError: it is not an environment of this project.
     """
     from regrasp_gym.envs.base import RegraspEnv
 
@@ -110,17 +110,17 @@ def features_of(env: gym.Env) -> dict[str, dict[str, Any]]:
     """LeRobot's table of features for the episodes of ``env``.
 
     Args:
-        env: of this project; with ``obs_type`` `IMAGES_OBS_TYPE`, images are among the features.
+        env: an environment of this project; its images are included if its ``obs_type`` is `IMAGES_OBS_TYPE`.
 
     Returns:
-        Key → dtype, shape and names of the components.
+        dtype, shape and names of the entries, by key.
 
     Raises:
         FeatureError: the environment is of another project, or its actions do not fit.
     """
     base = base_env(env)
     if not isinstance(env.action_space, gym.spaces.Box) or env.action_space.dtype != np.float32:
-        raise FeatureError(f"The action space has to be a Box of float32, and is {env.action_space}.")
+        raise FeatureError(f"The action space must be a Box of float32, not {env.action_space}.")
     features: dict[str, dict[str, Any]] = {
         STATE: _vector(_state_names(base)),
         ENVIRONMENT_STATE: _vector(_environment_state_names(base)),
@@ -133,7 +133,7 @@ def features_of(env: gym.Env) -> dict[str, dict[str, Any]]:
         }
     features[ACTION] = _vector(_action_names(base))
     if features[ACTION]["shape"] != env.action_space.shape:
-        raise FeatureError(f"Actions of shape {env.action_space.shape}, and names for {features[ACTION]['shape']}.")
+        raise FeatureError(f"Actions have shape {env.action_space.shape}, and their names {features[ACTION]['shape']}.")
     for key in (SUCCESS, DONE, TRUNCATED):
         features[key] = _scalar("bool")
     features[REWARD] = _scalar("float32")
@@ -143,11 +143,11 @@ def features_of(env: gym.Env) -> dict[str, dict[str, Any]]:
 
 
 def observe(env: gym.Env, obs: dict[str, Any]) -> Observation:
-    """What a frame keeps of the present state.
+    """The observation of the current state that a frame stores.
 
     Args:
-        env: in the state that ``obs`` shows.
-        obs: what ``reset`` or ``step`` returned last; only its images are used.
+        env: the environment.
+        obs: what its ``reset`` or ``step`` returned last; only the images are used.
     """
     from regrasp_gym.envs.observation import agent_vector, environment_vector
 
@@ -165,7 +165,7 @@ def frame_of(step: Step, *, seed: int, done: bool, task: str) -> dict[str, Any]:
     Args:
         step: the step of the environment.
         seed: seed of the episode.
-        done: whether it is the episode's last step.
+        done: whether it is the last step of the episode.
         task: the task in words.
 
     Returns:

@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 
 from regrasp_datasets.features import ACTION, ENVIRONMENT_STATE, REWARD, STATE, SUCCESS, VECTORS_OBS_TYPE, base_env
 from regrasp_datasets.quiet import quiet_lerobot
-from regrasp_datasets.records import EpisodeRecord, require_dataset
+from regrasp_datasets.records import EpisodeRecord, repo_id_of, require_dataset
 from regrasp_datasets.rollout import RolloutError, RolloutOptions, make_env, make_expert
 from regrasp_gym.rendering.film import write_film
 
@@ -53,7 +53,7 @@ class EpisodeReader:
         quiet_lerobot()
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-        self._dataset = LeRobotDataset(f"regrasp-gym/{root.name}", root=root, video_backend="pyav")
+        self._dataset = LeRobotDataset(repo_id_of(root), root=root, video_backend="pyav")
         columns = [STATE, ENVIRONMENT_STATE, ACTION, REWARD, SUCCESS]
         self._frames = self._dataset.hf_dataset.select_columns(columns).with_format("numpy")
 
@@ -132,9 +132,9 @@ def picture_plan(record: EpisodeRecord, path: Path, stored: Path) -> None:
         else:
             options = RolloutOptions(record.env_id, record.env_kwargs, record.expert, record.strategy)
             expert = make_expert(options, env)
-            if not expert.reset():
+            plan = expert.plan if expert.reset() else None
+            if plan is None:
                 raise RolloutError(f"The expert finds no plan for seed {record.seed} any more: {expert.failure}")
-            plan = expert.plan
         save_plan_picture(base_env(env), plan, path)
     finally:
         env.close()

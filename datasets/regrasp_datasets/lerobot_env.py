@@ -1,8 +1,8 @@
-"""Registers this project's environments with LeRobot, for its own commands.
+"""Registers the environments with LeRobot, for LeRobot's own commands.
 
 ``lerobot-eval --env.discover_packages_path=regrasp_datasets.lerobot_env --env.type=regrasp --env.task=PandaYCB-v0 …``
-evaluates a policy; ``lerobot-train`` takes the same arguments. Observations then have the keys, shapes and values of
-the datasets that `regrasp_datasets.collect` writes.
+evaluates a policy; ``lerobot-train`` takes the same arguments. Observations have the keys, shapes and values of the
+datasets that `regrasp_datasets.collect` writes.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from regrasp_datasets.features import (
 )
 from regrasp_datasets.rollout import make_env
 
-# LeRobot looks for submodules of what it is told to discover, so it has to be a package: this is one without any.
+# LeRobot searches the module for submodules, so it must be a package: this one has none.
 __path__: list[str] = []
 
 OBS_TYPES = ("pixels_agent_pos", "environment_state_agent_pos", "pixels_environment_state_agent_pos")
-"""What a policy may see: images and the robot; the robot and everything's poses; all of these."""
+"""What a policy sees: images and joints; joints and poses of objects; all three."""
 
 
 class LeRobotObservation(gym.Wrapper):
-    """An environment of this project as LeRobot wants it: its keys, float32, and its options left out.
+    """An environment with LeRobot's observation keys in float32.
 
     Args:
-        env: of this project.
+        env: an environment of this project.
         obs_type: one of `OBS_TYPES`.
     """
 
@@ -60,7 +60,7 @@ class LeRobotObservation(gym.Wrapper):
         self.observation_space = gym.spaces.Dict(spaces)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict[str, Any]]:
-        """Start an episode; options that are not this project's (LeRobot marks its rollouts) are left out."""
+        """Start an episode. Options of LeRobot's, which mark its rollouts, are ignored."""
         known = {key: value for key, value in (options or {}).items() if not key.startswith("lerobot_")}
         obs, info = self.env.reset(seed=seed, options=known)
         return self._chosen(obs), info
@@ -80,7 +80,7 @@ class LeRobotObservation(gym.Wrapper):
 @EnvConfig.register_subclass("regrasp")
 @dataclass
 class RegraspEnvConfig(EnvConfig):
-    """``--env.type=regrasp``: an environment of this project.
+    """Configuration of ``--env.type=regrasp``.
 
     Attributes:
         task: Gymnasium id without ``regrasp_gym/``.
@@ -88,9 +88,9 @@ class RegraspEnvConfig(EnvConfig):
         obs_type: one of `OBS_TYPES`.
         control_mode: ``joint_pos`` or ``ee_delta``.
         image_size: edge of the camera images, pixels.
-        episode_length: steps after which an episode is cut off; the environment's own by default.
-        split: which of the listed scenes to take, in environments that have lists.
-        terminate_on_success: end an episode once the task counts as solved.
+        episode_length: time limit in steps; by default that of the environment.
+        split: split of the listed scenes, in environments that have lists.
+        terminate_on_success: end an episode once the task is solved.
     """
 
     task: str | None = "PandaYCB-v0"
@@ -106,7 +106,7 @@ class RegraspEnvConfig(EnvConfig):
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Read shapes from the environment itself."""
+        """Read the shapes from the environment."""
         if self.obs_type not in OBS_TYPES:
             raise ValueError(f"obs_type={self.obs_type!r} is unknown; choose one of {', '.join(OBS_TYPES)}.")
         env = self._make()
@@ -143,8 +143,8 @@ class RegraspEnvConfig(EnvConfig):
         }
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
-        """``n_envs`` environments side by side, as ``{type: {0: vector environment}}``."""
-        # An episode that is over waits for the others of its batch at no cost.
+        """A vector of ``n_envs`` environments, as ``{type: {0: vector}}``."""
+        # A finished episode waits for the others of its batch without being simulated.
         makers = [freeze_after_episode_end(self._make) for _ in range(n_envs)]
         mode = gym.vector.AutoresetMode.SAME_STEP
         if use_async_envs and n_envs > 1:

@@ -1,4 +1,4 @@
-"""LeRobot and the libraries below it print a great deal; here only what a user can act on gets through."""
+"""Silences messages of LeRobot and its libraries that a user cannot act on."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import os
 
 
 def quiet_environment() -> None:
-    """Set the environment variables that have to be there before the libraries are imported.
+    """Set environment variables that the libraries read on import.
 
-    What the user has set stays as it is. Nothing here looks anything up on the Hugging Face Hub.
+    Values that the user has set are kept. Look-ups on the Hugging Face Hub are off.
     """
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
     os.environ.setdefault("TQDM_DISABLE", "1")
     os.environ.setdefault("SVT_LOG", "1")
-    # A worker that is ended in the middle of an episode leaves a semaphore of tqdm's behind; Python's resource tracker
-    # removes it and says so at length.
+    # A worker that is stopped in an episode leaves a semaphore of tqdm's. Python's resource tracker removes it, with a
+    # long warning.
     filters = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [filters, "ignore:resource_tracker"]))
 

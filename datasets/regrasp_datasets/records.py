@@ -1,7 +1,7 @@
-"""What is recorded of every episode beside its frames, so that it can be replayed exactly.
+"""What is recorded of an episode besides its frames, so that it can be replayed exactly.
 
-Two JSON-lines files lie in a dataset's ``meta`` folder, beside LeRobot's own: ``regrasp_episodes.jsonl`` with one line
-per episode, and ``regrasp_attempts.jsonl`` with one line per seed that was tried; failed ones say why.
+A dataset's ``meta`` folder holds two more files of JSON lines than LeRobot's own: ``regrasp_episodes.jsonl`` with one
+line per episode, and ``regrasp_attempts.jsonl`` with one line per tried seed and, if it failed, why.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class DatasetError(RegraspGymError):
 
 @dataclass(frozen=True)
 class EpisodeRecord:
-    """What it takes to run one episode again and to compare the outcome.
+    """What is needed to replay an episode and compare the outcome.
 
     Attributes:
         episode_index: its index in the dataset.
@@ -132,6 +132,11 @@ def state_sha256(*arrays: np.ndarray) -> str:
     for array in arrays:
         digest.update(array.dtype.str.encode() + repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
+
+
+def repo_id_of(root: Path) -> str:
+    """LeRobot's id of the dataset at ``root``; never looked up on the network."""
+    return f"regrasp-gym/{root.name}"
 
 
 def read_episodes(root: Path) -> list[EpisodeRecord]:

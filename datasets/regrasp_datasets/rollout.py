@@ -1,11 +1,11 @@
-"""One episode: an environment, an expert, and what happened between them."""
+"""Episodes: the environment, the expert, and a run of one in the other."""
 
 from __future__ import annotations
 
 import importlib
 import time
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -14,44 +14,47 @@ from regrasp_datasets.features import FeatureError, Step, base_env, observe
 from regrasp_datasets.records import Attempt, state_sha256
 from regrasp_gym.errors import RegraspGymError
 
+if TYPE_CHECKING:
+    from regrasp_planner.stages.plan import Failure, Plan
+
 DEFAULT_EXPERT = "regrasp_gym:PlannerExpert"
 
 
 class RolloutError(RegraspGymError):
-    """An environment or an expert that cannot be set up as asked. The message names what and why."""
+    """An environment or an expert cannot be set up. The message says why."""
 
 
 class Expert(Protocol):
-    """What a collector asks of an expert; it is constructed as ``Expert(env, strategy=…, seed=…)``.
+    """Interface of an expert, constructed as ``Expert(env, strategy=…, seed=…)``.
 
     Attributes:
         failure: why it gave up, or None.
-        stage_index: stage that the action returned last belongs to.
-        plan: the first plan, with ``stages``; None before one is found.
+        stage_index: stage of the last action.
+        plan: the first plan, or None before one is found.
     """
 
-    failure: Any
+    failure: Failure | str | None
     stage_index: int
-    plan: Any
+    plan: Plan | None
 
     def reset(self) -> bool:
-        """Plan from the environment's current state; whether a plan was found."""
+        """Plan from the environment's current state. Returns whether a plan was found."""
         ...
 
-    def act(self, obs: Any) -> np.ndarray | None:
-        """The next action, or None when it has finished or given up."""
+    def act(self, obs: dict[str, Any]) -> np.ndarray | None:
+        """The next action, or None once it has finished or given up."""
         ...
 
 
 @dataclass(frozen=True)
 class RolloutOptions:
-    """Who acts where.
+    """The environment and the expert of an episode.
 
     Attributes:
         env_id: Gymnasium id.
         env_kwargs: keyword arguments of ``gym.make``.
         expert: ``module:name`` of the expert's class.
-        strategy: handed to the expert.
+        strategy: the expert's strategy.
     """
 
     env_id: str
@@ -65,8 +68,8 @@ class Rollout:
     """An executed episode.
 
     Attributes:
-        steps: one per step of the environment.
-        attempt: what became of it.
+        steps: steps of the environment.
+        attempt: the outcome.
         task: the task in words.
         plan: the expert's first plan.
         initial_state_sha256: digest of the physics state after the reset.
@@ -76,13 +79,13 @@ class Rollout:
     steps: list[Step]
     attempt: Attempt
     task: str
-    plan: Any
+    plan: Plan
     initial_state_sha256: str
     final_state_sha256: str
 
     @property
     def success(self) -> bool:
-        """Whether the task counts as solved after the last step."""
+        """Whether the task is solved after the last step."""
         return self.steps[-1].success
 
 
@@ -107,65 +110,65 @@ def make_env(env_id: str, env_kwargs: dict[str, Any]) -> gym.Env:
     return env
 
 
-def make_expert(config: RolloutOptions, env: gym.Env) -> Expert:
-    """Construct the expert of ``config`` for ``env``.
+def make_expert(options: RolloutOptions, env: gym.Env) -> Expert:
+    """Construct an expert for ``env``.
 
-    A new one per episode: whatever it drew or learnt in one episode must not reach the next, or an episode would
-    depend on which worker ran it.
+    Each episode needs a new one. Otherwise its state would make an episode depend on the worker that runs it.
 
     Raises:
-        RolloutError: there is no such class, or no such strategy.
+        RolloutError: the class or the strategy is unknown.
     """
     from regrasp_planner.stages.plan import Strategy
 
     names = [str(member) for member in Strategy]
-    if config.strategy not in names:
-        raise RolloutError(f"Unknown strategy {config.strategy!r}; the strategies are {', '.join(names)}.")
-    module_name, _, name = config.expert.partition(":")
+    if options.strategy not in names:
+        raise RolloutError(f"Unknown strategy {options.strategy!r}; the strategies are {', '.join(names)}.")
+    module_name, _, name = options.expert.partition(":")
     try:
         make = getattr(importlib.import_module(module_name), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise RolloutError(f"Expert {config.expert!r} (module:name) cannot be imported: {error}") from error
-    return make(env, strategy=config.strategy, seed=0)
+        raise RolloutError(f"Expert {options.expert!r} (module:name) cannot be imported: {error}") from error
+    return make(env, strategy=options.strategy, seed=0)
 
 
-def run_expert(env: gym.Env, config: RolloutOptions, seed: int, *, need_regrasp: bool = False) -> Rollout | Attempt:
-    """Reset ``env`` with ``seed`` and let the expert act until it or the environment ends the episode.
+def run_expert(env: gym.Env, options: RolloutOptions, seed: int, *, need_regrasp: bool = False) -> Rollout | Attempt:
+    """Reset ``env`` and let the expert act until it or the environment ends the episode.
 
     Args:
         env: made by `make_env`.
-        config: who acts.
-        seed: handed to ``env.reset``.
-        need_regrasp: give up at once if the plan needs no regrasp.
+        options: the expert.
+        seed: seed of the reset.
+        need_regrasp: do not execute a plan without a regrasp.
 
     Returns:
-        A Rollout if at least one step was executed, otherwise the attempt with its reason.
+        A Rollout if at least one step was executed, else the attempt.
     """
     obs, _ = env.reset(seed=seed)
     scene = base_env(env).scene
     target, task = scene.target.name, scene.instruction
     initial_state = digest_of(env)
-    expert = make_expert(config, env)
+    expert = make_expert(options, env)
 
     started = time.perf_counter()
-    planned = expert.reset()
-    thought = time.perf_counter() - started
-    planned_stages = len(expert.plan.stages) if planned else 0
-    if not planned:
-        return _attempt(seed, "plan failed", target, thought, failure=expert.failure)
-    if need_regrasp and planned_stages < 2:
-        return _attempt(seed, "not needed", target, thought, stages=planned_stages)
+    found = expert.reset()
+    attempt = Attempt(seed, "not needed", target=target, planning_seconds=time.perf_counter() - started)
+    if not found:
+        return _failed(attempt, "plan failed", expert.failure)
+    assert expert.plan is not None
+    if need_regrasp and len(expert.plan.stages) < 2:
+        return replace(attempt, stages=len(expert.plan.stages))
 
     space = env.action_space
     assert isinstance(space, gym.spaces.Box)
     steps: list[Step] = []
+    planning_seconds = attempt.planning_seconds
     while True:
         started = time.perf_counter()
         action = expert.act(obs)
-        thought += time.perf_counter() - started
+        planning_seconds += time.perf_counter() - started
         if action is None:
             break
-        # What is stored is float32 and within bounds, and what is stored has to be what was stepped.
+        # The dataset stores float32 within bounds, so the environment gets exactly that.
         action = np.clip(np.asarray(action, dtype=np.float32), space.low, space.high)
         shown, stage_index = observe(env, obs), expert.stage_index
         obs, reward, terminated, truncated, info = env.step(action)
@@ -173,12 +176,16 @@ def run_expert(env: gym.Env, config: RolloutOptions, seed: int, *, need_regrasp:
         if terminated or truncated:
             break
 
-    failure: Any = None
+    attempt = replace(
+        attempt,
+        outcome="success",
+        stages=1 + max((step.stage_index for step in steps), default=-1),
+        planning_seconds=planning_seconds,
+        frames=len(steps),
+    )
     if not steps or not steps[-1].success:
-        failure = expert.failure or ("time limit" if steps and steps[-1].truncated else "target not at its goal")
-    outcome = "success" if failure is None else "execution failed"
-    stages = 1 + max((step.stage_index for step in steps), default=-1)
-    attempt = _attempt(seed, outcome, target, thought, failure=failure, stages=stages, frames=len(steps))
+        limit = "time limit" if steps and steps[-1].truncated else "target not at its goal"
+        attempt = _failed(attempt, "execution failed", expert.failure or limit)
     if not steps:
         return attempt
     return Rollout(
@@ -192,28 +199,14 @@ def run_expert(env: gym.Env, config: RolloutOptions, seed: int, *, need_regrasp:
 
 
 def digest_of(env: gym.Env) -> str:
-    """Digest of the physics state and of the controller's command, in double precision."""
+    """Digest of the physics state and the controller's command, in double precision."""
     state = base_env(env).get_state()
     return state_sha256(state.physics, state.command)
 
 
-def _attempt(
-    seed: int, outcome: str, target: str, thought: float, *, failure: Any = None, stages: int = 0, frames: int = 0
-) -> Attempt:
-    if failure is None:
-        cause = reason = ""
-    elif hasattr(failure, "constraint"):
-        # A planner's Failure: its message may hold figures of this very scene, its reason does not.
-        cause, reason = f"{failure.reason} in {failure.stage}" if failure.stage else str(failure.reason), str(failure)
-    else:
-        cause = reason = str(failure)
-    return Attempt(
-        seed,
-        outcome,
-        cause=cause,
-        reason=reason,
-        target=target,
-        stages=stages,
-        planning_seconds=thought,
-        frames=frames,
-    )
+def _failed(attempt: Attempt, outcome: str, failure: Failure | str | None) -> Attempt:
+    if failure is None or isinstance(failure, str):
+        return replace(attempt, outcome=outcome, cause=failure or "", reason=failure or "")
+    # A planner's message may hold figures of this scene; reason and stage do not.
+    cause = f"{failure.reason} in {failure.stage}" if failure.stage else str(failure.reason)
+    return replace(attempt, outcome=outcome, cause=cause, reason=str(failure))

@@ -1,4 +1,4 @@
-"""Which of the tried seeds make the dataset: decided in the order of the seeds, whichever worker finishes first."""
+"""Which of the tried seeds make the dataset. The order of the seeds decides, not that in which workers finish."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from regrasp_datasets.records import Attempt
 
 @dataclass(frozen=True)
 class Selection:
-    """The choice among the attempts made so far.
+    """The choice among the attempts so far.
 
     Attributes:
         seeds: seeds of the chosen episodes.
         attempts: attempts that led to them, in the order of their seeds.
-        complete: whether nothing is missing.
-        need_regrasp: whether only episodes with a regrasp are still wanted.
+        complete: whether there are enough episodes.
+        need_regrasp: whether further episodes must have a regrasp.
     """
 
     seeds: list[int]
@@ -28,17 +28,16 @@ class Selection:
 def select(
     attempts: Mapping[int, Attempt], *, first: int, episodes: int, regrasps: int, published: Collection[int] = ()
 ) -> Selection:
-    """Go through the seeds from ``first`` on, as far as there is an attempt for each, and take what is wanted.
+    """Choose seeds in order from ``first``, up to the first one without an attempt.
 
-    The outcome is a function of the seeds' outcomes alone: neither the number of workers nor the order in which they
-    finish changes the dataset.
+    The choice depends only on the attempts, not on the number of workers or the order in which they finish.
 
     Args:
-        attempts: by seed.
+        attempts: attempts by seed.
         first: first seed.
-        episodes: how many episodes are wanted.
-        regrasps: how many of them at least must hold a regrasp.
-        published: seeds that are in the dataset already, and stay.
+        episodes: number of episodes wanted.
+        regrasps: least number of them with a regrasp.
+        published: seeds already in the dataset; they stay.
     """
     seeds: list[int] = []
     led: list[Attempt] = []

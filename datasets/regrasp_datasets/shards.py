@@ -1,7 +1,7 @@
-"""Episodes on disk: each is first a small dataset of its own, and these are merged into one at the end.
+"""Episodes on disk: each is a small dataset of its own; these are merged into one at the end.
 
-LeRobot's writer loses everything that was not finalised. So every episode is written, finalised, checked and only
-then renamed to its final name: whatever kills the process, each episode that was saved is whole and readable.
+LeRobot's writer loses whatever is not finalised. So each episode is written, finalised, checked and then renamed.
+Whatever kills the process, every saved episode is whole and readable.
 """
 
 from __future__ import annotations
@@ -16,22 +16,17 @@ from typing import Any
 
 from regrasp_datasets.features import frame_of
 from regrasp_datasets.quiet import quiet_lerobot
-from regrasp_datasets.records import EPISODES_FILE, EpisodeRecord, read_episodes
+from regrasp_datasets.records import EPISODES_FILE, EpisodeRecord, read_episodes, repo_id_of
 from regrasp_datasets.rollout import Rollout
 from regrasp_datasets.verify import require_valid
 from regrasp_gym.reports.files import rewrite_lines
 
 MERGE_FAN_IN = 24
-"""Datasets merged at once. Each merge rewrites what was merged before it, so many small ones are merged in a tree."""
-
-
-def repo_id_of(root: Path) -> str:
-    """LeRobot's name for the dataset at ``root``; nothing is looked up under it."""
-    return f"regrasp-gym/{root.name}"
+"""Most datasets merged at once. Each merge rewrites all earlier ones, so many are merged as a tree."""
 
 
 def shard_path(folder: Path, seed: int) -> Path:
-    """Where the episode of ``seed`` lies in ``folder``."""
+    """Folder of the episode of ``seed``."""
     return folder / f"seed-{seed:08d}"
 
 
@@ -53,19 +48,19 @@ def write_shard(
     """Write one episode as a dataset under ``folder``, whole or not at all.
 
     Args:
-        folder: where episodes are collected.
+        folder: folder of all episodes.
         rollout: the episode.
-        record: what is kept beside the frames.
-        features: table of features.
+        record: its record.
+        features: from `regrasp_datasets.features.features_of`.
         fps: control frequency, Hz.
-        robot_type: name of the robot for LeRobot.
-        codec: video codec as LeRobot names it.
+        robot_type: the robot's name for LeRobot.
+        codec: video codec, by LeRobot's name.
 
     Returns:
         The folder of the episode.
 
     Raises:
-        InvalidDatasetError: what was written does not read back, frame for frame.
+        InvalidDatasetError: the written episode is damaged.
     """
     from lerobot.configs import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -102,21 +97,21 @@ def write_shard(
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what a killed process left half-written in ``folder``."""
+    """Remove episodes that a killed process left half-written."""
     for path in folder.glob(".unfinished-*"):
         shutil.rmtree(path, ignore_errors=True)
 
 
 def merge(sources: Sequence[Path], destination: Path) -> None:
-    """Merge datasets into one, in the given order, with their records.
+    """Merge datasets and their records, in the given order.
 
     Args:
         sources: finished datasets with the same features.
-        destination: folder to make; it must not exist.
+        destination: folder of the result; it must not exist.
 
     Raises:
-        ValueError: there is nothing to merge.
-        InvalidDatasetError: the merged dataset does not read back, frame for frame.
+        ValueError: ``sources`` is empty.
+        InvalidDatasetError: the merged dataset is damaged.
     """
     if not sources:
         raise ValueError("There are no episodes to merge.")

@@ -1,4 +1,4 @@
-"""Whether a dataset is whole: frames, videos, seeds and records agree, and every number is finite."""
+"""Check a dataset: frames, videos, seeds and records agree, and every number is finite."""
 
 from __future__ import annotations
 
@@ -32,33 +32,32 @@ REQUIRED_FEATURES = {
     STAGE_INDEX: "int64",
     SEED: "int64",
 }
-"""Features that every dataset has, and their dtypes; cameras come on top."""
+"""Features of every dataset besides cameras, with their dtypes."""
 
 TIME_TOLERANCE = 1e-4
 """Largest error of a time stamp, seconds; LeRobot's own default."""
 
 
 class InvalidDatasetError(DatasetError):
-    """A dataset that is not whole. The message lists what is wrong."""
+    """A damaged dataset. The message lists the problems."""
 
 
 def require_valid(root: Path) -> None:
-    """Raise if `problems` finds any.
+    """Check that `problems` finds none.
 
     Raises:
-        InvalidDatasetError: with all that is wrong.
+        InvalidDatasetError: it finds some.
         DatasetError: there is no dataset at ``root``.
     """
     found = problems(root)
     if found:
-        raise InvalidDatasetError(f"{root} is not whole:\n  " + "\n  ".join(found))
+        raise InvalidDatasetError(f"{root} is damaged:\n  " + "\n  ".join(found))
 
 
 def problems(root: Path) -> list[str]:
-    """What is wrong with the dataset at ``root``; empty if nothing is.
+    """Problems of the dataset at ``root``, one line each.
 
-    Video frames are counted in the files, not believed from the metadata: a writer that drops frames leaves metadata
-    that looks right.
+    Video frames are counted in the files: a writer that drops frames leaves metadata that looks right.
 
     Raises:
         DatasetError: there is no dataset at ``root``.
@@ -118,7 +117,7 @@ def _episode_problems(episode: Any, record: EpisodeRecord, info: dict[str, Any])
     found: list[str] = []
     count = len(episode)
     if count != record.frames:
-        return [f"{count} frames, recorded were {record.frames}"]
+        return [f"{count} frames, {record.frames} in its record"]
     if not np.array_equal(episode["frame_index"].to_numpy(), np.arange(count)):
         found.append("frame indices are not 0, 1, 2, …")
     if np.abs(episode["timestamp"].to_numpy() - np.arange(count) / info["fps"]).max() > TIME_TOLERANCE:
@@ -154,12 +153,12 @@ def _video_problems(root: Path, key: str, info: dict[str, Any], episodes: Any) -
         starts = group[prefix + "from_timestamp"].to_numpy()
         lengths = group["length"].to_numpy()
         if np.abs(starts - (np.cumsum(lengths) - lengths) / info["fps"]).max() > TIME_TOLERANCE:
-            found.append(f"{path.relative_to(root)}: episodes do not start where the ones before them end")
+            found.append(f"{path.relative_to(root)}: an episode does not start where the one before it ends")
     return found
 
 
 def video_frames(path: Path) -> int:
-    """Number of frames stored in a video file, counted."""
+    """Number of frames in a video file, counted packet by packet."""
     import av
 
     count = 0

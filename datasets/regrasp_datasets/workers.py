@@ -1,4 +1,4 @@
-"""Processes that turn seeds into episodes on disk, one episode at a time, and what happens when one of them dies."""
+"""Worker processes that write one episode per seed, and are replaced when they die or take too long."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from regrasp_datasets.shards import write_shard
 from regrasp_gym.errors import RegraspGymError
 
 STOP_SECONDS = 5.0
-"""How long a worker may take to end when asked, before it is killed."""
+"""Seconds that a worker gets to end before it is killed."""
 
 
 def plan_path(folder: Path, seed: int) -> Path:
-    """Where the plan of an episode is left for whoever draws it."""
+    """File of an episode's plan, kept to be drawn."""
     return folder / f"seed-{seed:08d}.pickle"
 
 
 class WorkerError(RegraspGymError):
-    """No worker can do its work. The message says why."""
+    """No worker can run. The message says why."""
 
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """What every worker does with the seeds it is given.
+    """How workers run episodes.
 
     Attributes:
-        rollout: who acts where.
-        shards: folder the episodes go to.
-        logs: folder for what the workers print.
-        plans: folder for the plans of the saved episodes, or None.
+        rollout: the environment and the expert.
+        shards: folder of the episodes.
+        logs: folder of the workers' output.
+        plans: folder of the plans of saved episodes, or None.
         codec: video codec.
-        keep_failures: save executed episodes that did not succeed, too.
-        timeout: seconds an episode may take before its worker is killed.
+        keep_failures: also save executed episodes that failed.
+        timeout: seconds after which an episode's worker is killed.
     """
 
     rollout: RolloutOptions
@@ -76,15 +76,15 @@ class _Worker:
 
 
 class WorkerPool:
-    """Worker processes; a context manager that leaves none behind.
+    """Worker processes; a context manager that ends them all.
 
     Args:
-        config: what they do.
-        count: how many.
+        options: how they run episodes.
+        count: number of workers.
     """
 
-    def __init__(self, config: WorkerOptions, count: int) -> None:
-        self._config = config
+    def __init__(self, options: WorkerOptions, count: int) -> None:
+        self._options = options
         self._context = multiprocessing.get_context("spawn")
         self._workers: list[_Worker] = []
         self._count = count
@@ -105,30 +105,30 @@ class WorkerPool:
 
     @property
     def idle(self) -> int:
-        """How many workers wait for a seed."""
+        """Number of workers that wait for a seed."""
         return sum(worker.ready and worker.seed is None for worker in self._workers)
 
     @property
     def busy_seeds(self) -> set[int]:
-        """Seeds that are being worked on."""
+        """Seeds that workers are running."""
         return {worker.seed for worker in self._workers if worker.seed is not None}
 
     def assign(self, seed: int, *, need_regrasp: bool) -> None:
         """Give a seed to an idle worker."""
         worker = next(worker for worker in self._workers if worker.ready and worker.seed is None)
         worker.seed = seed
-        worker.deadline = time.monotonic() + self._config.timeout
-        # A worker that has died in the meantime is found by `results`.
+        worker.deadline = time.monotonic() + self._options.timeout
+        # `results` finds a worker that has died since.
         with contextlib.suppress(OSError):
             worker.connection.send((seed, need_regrasp))
 
     def results(self, timeout: float) -> Iterator[Attempt]:
-        """Attempts that have ended, waiting for the first for at most ``timeout`` seconds.
+        """Attempts that have ended. Waits for the first for at most ``timeout`` seconds.
 
         A worker that died or took too long is replaced; its seed comes back as ``crashed`` or ``timeout``.
 
         Raises:
-            WorkerError: the environment or the expert cannot be set up, or a worker died while setting up.
+            WorkerError: the environment or the expert cannot be set up, or a worker died during set-up.
         """
         wait([worker.connection for worker in self._workers], timeout)
         for index, worker in enumerate(self._workers):
@@ -150,9 +150,9 @@ class WorkerPool:
     def _start(self, number: int) -> _Worker:
         here, there = self._context.Pipe()
         process = self._context.Process(
-            target=_work, args=(there, self._config, self._config.logs / f"worker-{number}.log"), daemon=True
+            target=_work, args=(there, self._options, self._options.logs / f"worker-{number}.log"), daemon=True
         )
-        # Ctrl-C reaches every process of the terminal; only the parent is to answer it. The worker inherits this.
+        # Ctrl-C goes to every process of the terminal, and only the parent reacts. The worker inherits this.
         with _interrupts_ignored():
             process.start()
         there.close()
@@ -163,13 +163,13 @@ class WorkerPool:
         worker.process.kill()
         worker.process.join()
         worker.connection.close()
-        log = self._config.logs / f"worker-{worker.number}.log"
+        log = self._options.logs / f"worker-{worker.number}.log"
         if not worker.ready:
-            raise WorkerError(f"A worker died while it was set up (exit code {worker.process.exitcode}); see {log}.")
+            raise WorkerError(f"A worker died during set-up (exit code {worker.process.exitcode}); see {log}.")
         self._workers[index] = self._start(worker.number)
         if worker.seed is not None:
             reason = (
-                f"longer than {self._config.timeout:.0f} s"
+                f"longer than {self._options.timeout:.0f} s"
                 if outcome == "timeout"
                 else f"the worker process died (exit code {worker.process.exitcode})"
             )
@@ -188,7 +188,7 @@ def _interrupts_ignored() -> Generator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def _work(connection: Connection, config: WorkerOptions, log: Path) -> None:
+def _work(connection: Connection, options: WorkerOptions, log: Path) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with_parent()
@@ -196,10 +196,10 @@ def _work(connection: Connection, config: WorkerOptions, log: Path) -> None:
         os.dup2(stream.fileno(), 1)
         os.dup2(stream.fileno(), 2)
     try:
-        env = make_env(config.rollout.env_id, config.rollout.env_kwargs)
+        env = make_env(options.rollout.env_id, options.rollout.env_kwargs)
         features_of(env)
         env.reset(seed=0)
-        make_expert(config.rollout, env)
+        make_expert(options.rollout, env)
     except (RolloutError, ValueError) as error:
         connection.send(_SetUp(str(error)))
         return
@@ -211,44 +211,44 @@ def _work(connection: Connection, config: WorkerOptions, log: Path) -> None:
     with contextlib.suppress(EOFError, OSError):
         while True:
             seed, need_regrasp = connection.recv()
-            connection.send(_attempt(env, config, seed, need_regrasp))
+            connection.send(_attempt(env, options, seed, need_regrasp))
 
 
-def _attempt(env: gym.Env, config: WorkerOptions, seed: int, need_regrasp: bool) -> Attempt:
+def _attempt(env: gym.Env, options: WorkerOptions, seed: int, need_regrasp: bool) -> Attempt:
     started = time.perf_counter()
     try:
-        result = run_expert(env, config.rollout, seed, need_regrasp=need_regrasp)
+        result = run_expert(env, options.rollout, seed, need_regrasp=need_regrasp)
         if isinstance(result, Attempt):
             return result
-        if not (result.success or config.keep_failures):
+        if not (result.success or options.keep_failures):
             return result.attempt
         write_shard(
-            config.shards,
+            options.shards,
             result,
-            _record(config.rollout, result, time.perf_counter() - started),
+            _record(options.rollout, result, time.perf_counter() - started),
             features=features_of(env),
             fps=int(env.metadata["render_fps"]),
             robot_type=base_env(env).planner_robot.name,
-            codec=config.codec,
+            codec=options.codec,
         )
-        if config.plans is not None:
-            plan_path(config.plans, seed).write_bytes(pickle.dumps(result.plan))
+        if options.plans is not None:
+            plan_path(options.plans, seed).write_bytes(pickle.dumps(result.plan))
         return replace(result.attempt, saved=True)
     except Exception as error:
-        # One broken episode must not end a long collection; the log has the traceback, the table the reason.
+        # One broken episode must not end a long collection. The traceback is in the log.
         traceback.print_exc()
         return Attempt(seed, "crashed", cause=type(error).__name__, reason=f"{type(error).__name__}: {error}")
 
 
-def _record(config: RolloutOptions, rollout: Rollout, seconds: float) -> EpisodeRecord:
+def _record(options: RolloutOptions, rollout: Rollout, seconds: float) -> EpisodeRecord:
     attempt = rollout.attempt
     return EpisodeRecord(
         episode_index=0,
         seed=attempt.seed,
-        env_id=config.env_id,
-        env_kwargs=config.env_kwargs,
-        expert=config.expert,
-        strategy=config.strategy,
+        env_id=options.env_id,
+        env_kwargs=options.env_kwargs,
+        expert=options.expert,
+        strategy=options.strategy,
         target=attempt.target,
         task=rollout.task,
         planned_stages=len(rollout.plan.stages),

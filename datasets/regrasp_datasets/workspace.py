@@ -1,7 +1,7 @@
-"""The folder beside a dataset in which it is being collected, and how what is finished gets from there to its place.
+"""The folder in which a dataset is collected, beside its final place, and how finished episodes are published.
 
-``ROOT.collecting`` holds one small dataset per saved episode, the attempts made so far and the settings. ``ROOT``
-itself appears by a single rename, so that it is whole whenever it is there.
+``ROOT.collecting`` holds one small dataset per saved episode, the attempts so far and the settings. ``ROOT`` appears by
+a single rename, so it is always whole.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,30 +27,30 @@ from regrasp_gym.reports.files import acquire_lock, append_line, read_lines, rew
 SETTINGS_FILE = "meta/regrasp_collection.json"
 
 RETRIED_OUTCOMES = ("timeout", "crashed")
-"""What a resumed collection tries again: it need not be the seed's fault."""
+"""Outcomes that a resumed collection retries: the seed need not be at fault."""
 
 
 class WorkspaceError(DatasetError):
-    """An output folder that cannot be written to as asked. The message says what to do."""
+    """An output folder cannot be used as asked. The message says what to do."""
 
 
 class Workspace:
     """State of one collection on disk; a context manager that holds the folder's lock.
 
     Args:
-        root: where the dataset is to appear.
-        settings: what decides the content of episodes; a resumed collection must have the same.
-        resume: go on with what is there.
+        root: final folder of the dataset.
+        settings: settings that decide the content of episodes; a resumed collection must have the same.
+        resume: continue an existing collection.
 
     Attributes:
-        folder: where episodes lie until they are in the dataset.
-        shards, logs, plans: folders in it, for episodes, for what workers print and for plans to be drawn.
-        attempts: what became of each seed so far.
+        folder: the folder beside ``root``.
+        shards, logs, plans: folders in it for episodes, workers' output and plans to be drawn.
+        attempts: outcome of each seed so far.
         published: seeds of the episodes in the dataset at ``root``.
 
     Raises:
-        WorkspaceError: there is something already and ``resume`` is off, it was made with other settings, or another
-            process is writing there.
+        WorkspaceError: the folder exists and ``resume`` is off, it was made with other settings, or another process is
+            writing there.
     """
 
     def __init__(self, root: Path, settings: dict[str, Any], *, resume: bool) -> None:
@@ -66,7 +67,7 @@ class Workspace:
                 )
             if self.folder.exists():
                 raise WorkspaceError(
-                    f"{self.folder} holds an unfinished collection. Add --resume to go on with it, or remove it."
+                    f"{self.folder} holds an unfinished collection. Add --resume to continue it, or remove it."
                 )
         busy = WorkspaceError(f"Another regrasp-collect is writing to {root}.")
         self._lock = acquire_lock(self.folder / "lock", busy)
@@ -92,16 +93,16 @@ class Workspace:
         self._lock.release()
 
     def add(self, attempt: Attempt) -> None:
-        """Write down what became of a seed."""
+        """Log the outcome of a seed."""
         self.attempts[attempt.seed] = attempt
         append_line(self._log, attempt)
 
     def publish(self, seeds: Sequence[int], attempts: Sequence[Attempt]) -> None:
-        """Make the dataset at ``root`` hold the episodes of ``seeds``, and nothing half-done at any moment.
+        """Add the episodes of ``seeds`` to the dataset at ``root``, which is whole at every moment.
 
         Args:
             seeds: seeds of saved episodes, the published ones first.
-            attempts: what led to them.
+            attempts: attempts that led to them.
         """
         from regrasp_datasets.card import write_card
 
@@ -125,7 +126,7 @@ class Workspace:
             shutil.rmtree(shard_path(self.shards, seed))
 
     def finish(self) -> None:
-        """Remove the folder: everything wanted is in the dataset."""
+        """Remove the folder, once all episodes are published."""
         shutil.rmtree(self.folder)
 
     @property
@@ -150,8 +151,7 @@ class Workspace:
             self._compare(local)
         else:
             write_json(local, self._settings)
-        # A process that was killed leaves half a line at the end: that seed is tried again.
-        attempts |= {line["seed"]: Attempt(**line) for line in read_lines(self._log)}
+        attempts |= self._logged()
         for seed in shard_seeds(self.shards):
             if seed in published:
                 shutil.rmtree(shard_path(self.shards, seed))
@@ -166,6 +166,15 @@ class Workspace:
         if self._log.exists():
             rewrite_lines(self._log, attempts.values())
         return attempts, published
+
+    def _logged(self) -> dict[int, Attempt]:
+        """Attempts in the log. Lines half-written or of another version are skipped; their seeds are retried."""
+        attempts: dict[int, Attempt] = {}
+        for line in read_lines(self._log):
+            with suppress(TypeError):
+                attempt = Attempt(**line)
+                attempts[attempt.seed] = attempt
+        return attempts
 
     def _attempt_of_shard(self, seed: int) -> Attempt:
         record = read_episodes(shard_path(self.shards, seed))[0]
@@ -183,11 +192,11 @@ class Workspace:
         try:
             found = json.loads(path.read_text())
         except (OSError, json.JSONDecodeError) as error:
-            raise WorkspaceError(f"{path} cannot be read, so nothing can be added to {self.root}: {error}") from error
+            raise WorkspaceError(f"{path} cannot be read, so {self.root} cannot be resumed: {error}") from error
         wanted = json.loads(json.dumps(self._settings))
         for key in sorted(wanted.keys() | found.keys()):
             if wanted.get(key) != found.get(key):
                 raise WorkspaceError(
-                    f"{self.root} was collected with {key} = {found.get(key)!r}, and now {wanted.get(key)!r} is asked "
-                    "for: resume with the same, or choose another --root."
+                    f"{self.root} was collected with {key} = {found.get(key)!r}, not {wanted.get(key)!r}: "
+                    "resume with the same, or choose another --root."
                 )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 BUCKETS = (8, 16, 32, 64, 128, 256)
 """Numbers of vertices that bodies are padded to, so that few shapes are ever compiled."""
@@ -22,3 +25,17 @@ def bucket(count: int, buckets: Sequence[int], what: str) -> int:
         if count <= size:
             return size
     raise ValueError(f"{count} {what}, more than the {buckets[-1]} that are supported")
+
+
+def in_batches(
+    measure: Callable[[Int[np.ndarray, " size"]], Float[Array, " size"]], count: int, size: int
+) -> Float[np.ndarray, " count"]:
+    """Values of ``measure`` for the indices 0 … count − 1, in calls of exactly ``size`` indices.
+
+    The last call repeats the last index.
+    """
+    result = np.zeros(count)
+    for begin in range(0, count, size):
+        indices = np.minimum(np.arange(begin, begin + size), count - 1)
+        result[begin : begin + size] = np.asarray(measure(indices))[: count - begin]
+    return result

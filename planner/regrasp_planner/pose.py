@@ -9,6 +9,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 Pose = Float[np.ndarray, " 7"]
 """A pose as wxyz_xyz: unit quaternion, then position in metres. ``jaxlie.SE3(pose)`` makes it a group element."""
 
+IDENTITY: Pose = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
 
 def rigid(pose: Float[np.ndarray, "*batch 7"]) -> RigidTransform:
     """The pose (7,), or a batch of them, as a transform that composes with ``*`` and has ``inv()`` and ``apply()``."""

@@ -34,15 +34,15 @@ Goals = tuple[Float[np.ndarray, " 10"], Float[np.ndarray, " 10"]]
 
 @dataclass(frozen=True, eq=False)
 class EnvState:
-    """Everything that the future of an episode depends on, wrappers excepted.
+    """Everything that determines the rest of an episode, except the state of wrappers.
 
     Attributes:
         joints: names of the arm's joints.
         scene: the scene.
-        physics: (s,) state of the simulation, MuJoCo's mjSTATE_INTEGRATION.
+        physics: (s,) MuJoCo's mjSTATE_INTEGRATION.
         command: (n + 1,) last command of the controller.
         elapsed: steps since the reset.
-        random: state of the generator that draws the next scene's seed.
+        random: state of the generator that draws scene seeds.
     """
 
     joints: tuple[str, ...]
@@ -54,25 +54,90 @@ class EnvState:
 
 
 class RegraspEnv(gymnasium.Env):
-    """Pick-and-place in which one grasp may not be enough, for any scenario.
+    """Pick-and-place that may need a regrasp, for any scenario.
 
-    Subclasses document what it means for their scenario.
+    Subclasses document the robot, the task, the tables of actions and observations, and the numbers of their scenario.
+    The rest holds for every environment.
+
+    ## Action Space
+
+    Out-of-range entries are clipped. Wrong shapes and entries that are not finite raise `ActionError`.
+
+    ``control_mode="joint_pos"``: joint positions and the finger coordinate. Joints move to their positions in a
+    straight line, no faster than their maximum velocities, so a distant position takes several steps.
+
+    ``control_mode="ee_delta"``: `Box(-1, 1, (7,), float32)`, a motion of the gripper frame: between the finger pads, z
+    out of the palm, fingers close along y. It starts from the last commanded pose. The joints follow by damped least
+    squares within their limits.
+
+    The set points move in a straight line over the physics steps of an environment step.
+
+    ## Observation Space
+
+    Poses are a unit quaternion (w, x, y, z) and a position in the world frame. Of the two quaternions of a rotation,
+    observations give the one with w + 0.41 x + 0.33 y + 0.27 z ≥ 0. All vectors are float64 and unbounded.
+
+    ``obs_type="state"`` is a dictionary of ``observation``, ``achieved_goal`` and ``desired_goal``.
+
+    | Num | achieved_goal, desired_goal                                                          | Unit |
+    |-----|--------------------------------------------------------------------------------------|------|
+    | 0–6 | pose of the target                                                                   | –, m |
+    | 7   | 1 if it moves or only the gripper supports it, else 0; desired: 0                    | –    |
+    | 8   | 1 if the gripper touches it, else 0; desired: 0                                      | –    |
+    | 9   | distance of the gripper frame from the target's centre; desired: 0, never compared   | m    |
+
+    Where the target has to be held at the goal, entry 7 is 1 unless the gripper alone supports it, and entry 8 of the
+    desired goal is 1.
+
+    ``obs_type="pixels_agent_pos"`` is a dictionary of ``pixels`` (by camera, each (H, W, 3) uint8, rows from the top),
+    ``agent_pos`` and ``environment_state``.
+
+    ## Rewards
+
+    - *sparse*: 0 on success, else -1.
+    - *dense*: 0 on success, else -1 + 0.25 reach + 0.7 closeness, in [-1, -0.05]:
+      closeness = 1 - tanh((d + lever · angle) / length), with the target's distance d and angle from its goal;
+      reach = 1 - tanh(distance of the gripper frame from the target / length), and 1 once the target is in place.
+
+    Success: the pose is within tolerance, and entries 7 and 8 of the achieved goal do not exceed those of the desired
+    goal. ``info["is_success"]`` is true exactly where the reward is 0. It describes the current step, and turns false
+    again if the target is moved.
+
+    With ``obs_type="state"``, ``compute_reward(achieved_goal, desired_goal, info)`` gives the same reward for single
+    goals and for batches, and ignores ``info``. A relabelled goal is reached by the state that it comes from: for
+    example, one in which the target is held is reached by holding it there.
+
+    ## Starting State
+
+    The scene of the reset's seed, with everything at rest. Without a seed, the scene's seed is drawn from the
+    environment's generator. ``reset(options={"scene": s})`` takes the scene of seed s, or s itself if it is a `Scene`.
+    Two resets with one seed give the same state to the last bit, whatever happened in between.
+
+    ``info`` holds ``is_success`` and ``scene_seed``, after a reset also ``instruction`` (the task in words) and
+    ``target`` (the object's name).
+
+    ## Episode End
+
+    Termination: none by default, as usual for goal environments; on success with ``terminate_on_success=True``.
+    Truncation: after the registered number of steps.
+
+    ## Arguments
 
     Args:
-        scenario: robot, scenes and conventions.
-        obs_type: ``"state"`` or ``"pixels_agent_pos"``.
-        control_mode: ``"joint_pos"`` or ``"ee_delta"``.
-        reward_type: ``"sparse"`` or ``"dense"``.
-        render_mode: None, ``"rgb_array"`` or ``"human"``.
-        scene_config: passed to the scenario's ``make_scene``; None for its default.
-        image_size: height and width of observed pictures, pixels.
-        render_size: height and width of what `render` returns, pixels.
-        render_camera: camera of `render`.
-        terminate_on_success: end the episode on success.
+        scenario: robot, scenes and conventions; subclasses set it.
+        obs_type: ``"state"`` (the default) or ``"pixels_agent_pos"``.
+        control_mode: ``"joint_pos"`` (the default) or ``"ee_delta"``.
+        reward_type: ``"sparse"`` (the default) or ``"dense"``.
+        render_mode: None (the default), ``"rgb_array"`` or ``"human"``.
+        scene_config: configuration of the scenes; None for the scenario's default.
+        image_size: height and width of observed pictures, pixels; by default (128, 128).
+        render_size: height and width of pictures from `render`, pixels; by default (480, 640).
+        render_camera: camera of `render`; by default ``"overview"``.
+        terminate_on_success: end the episode on success; by default False.
 
     Raises:
-        OptionError: an argument has a value that it cannot have.
-        DisplayError: ``"human"`` where there is no display.
+        OptionError: an argument has an unknown value.
+        DisplayError: ``"human"`` without a display.
     """
 
     def __init__(
@@ -100,7 +165,7 @@ class RegraspEnv(gymnasium.Env):
         self.image_size, self.render_size, self.render_camera = image_size, render_size, render_camera
         self.terminate_on_success = terminate_on_success
 
-        # Twice the size: pictures for people are rendered large and halved.
+        # Pictures for people are rendered at twice their size and halved.
         drawn = np.maximum(
             image_size if obs_type != "state" else (1, 1), np.multiply(render_size, 2 * bool(render_mode))
         )
@@ -126,12 +191,12 @@ class RegraspEnv(gymnasium.Env):
         """Start an episode.
 
         Args:
-            seed: the scene's seed. Without one, the scene's seed is drawn from the environment's generator.
+            seed: seed of the scene; drawn from the environment's generator if None.
             options: ``{"scene": s}`` takes the scene of seed s, or s itself if it is a scene.
 
         Raises:
-            OptionError: another option, or something that is no scene.
-            SceneError: a scene that cannot be made.
+            OptionError: unknown option, or neither a scene nor a seed.
+            SceneError: the scene cannot be made.
         """
         super().reset(seed=seed)
         scene = self._chosen_scene(seed, options or {})
@@ -146,7 +211,7 @@ class RegraspEnv(gymnasium.Env):
         """Act for one control period.
 
         Raises:
-            ActionError: wrong shape, or not finite. Entries out of range are clipped.
+            ActionError: wrong shape, or not finite. Out-of-range entries are clipped.
         """
         world = self.world
         last = self._command
@@ -160,26 +225,26 @@ class RegraspEnv(gymnasium.Env):
         return self._observe(goals), float(earned), self.terminate_on_success and info["is_success"], False, info
 
     def render(self) -> UInt8[np.ndarray, "H W 3"] | None:
-        """A picture of the present state, or None where a window shows it."""
+        """A picture of the current state; None unless the render mode is ``"rgb_array"``."""
         if self.render_mode != "rgb_array":
             return None
         return self.picture(self.render_camera, *self.render_size)
 
     def close(self) -> None:
-        """Free the window and what pictures need."""
+        """Close the window and free the renderer."""
         self._renderer.close()
         if self._window is not None:
             self._window.close()
 
     @property
     def compute_reward(self):
-        """Reward function (achieved, desired, info) of a goal environment; ``info`` is not used.
+        """Reward function (achieved, desired, info) of a goal environment; ignores ``info``.
 
-        Only observations of type ``state`` have goals, and libraries take an environment with this attribute for a
-        goal environment: with others there is no such attribute.
+        Only observations of type ``state`` have goals. With others the attribute is missing, because libraries take an
+        environment that has it for a goal environment.
         """
         if self.obs_type != "state":
-            raise AttributeError(f"compute_reward needs obs_type='state', this environment has {self.obs_type!r}")
+            raise AttributeError(f"compute_reward needs obs_type='state'; this environment has {self.obs_type!r}")
         return self._compute_reward
 
     def _compute_reward(
@@ -192,14 +257,14 @@ class RegraspEnv(gymnasium.Env):
 
     @property
     def world(self) -> World:
-        """The physics of the present episode."""
+        """The physics of the current episode."""
         if self._world is None:
             raise gymnasium.error.ResetNeeded("call reset() first: there is no scene yet")
         return self._world
 
     @property
     def scene(self) -> Scene:
-        """The scene of the present episode."""
+        """The scene of the current episode."""
         return self.world.scene
 
     @property
@@ -214,26 +279,26 @@ class RegraspEnv(gymnasium.Env):
 
     @property
     def is_success(self) -> bool:
-        """Whether the target counts as placed now: what ``info["is_success"]`` says."""
+        """Whether the target counts as placed now, as in ``info["is_success"]``."""
         return bool(reward.is_success(*self._goals(), self.scenario.tolerance))
 
     def action_toward(self, command: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, " m"]:
-        """The action (float32, within the action space) that comes nearest to a command (n + 1,)."""
+        """The action (float32, in the action space) that comes nearest to a command (n + 1,)."""
         space = self._control.action_space
         action = self._control.toward(command, self._command).astype(np.float32)
         return np.clip(action, space.low, space.high)
 
     def effort(self, command: Float[np.ndarray, " n+1"]) -> float:
-        """How many steps the arm needs at least from the last command to this one (n + 1,)."""
+        """Least number of steps that the arm needs from the last command to this one (n + 1,)."""
         return self._control.effort(command, self._command)
 
     @property
     def planner_robot(self) -> Robot:
-        """The robot as the planner sees it, from the very model that is simulated (made once)."""
+        """The planner's robot, built once from the simulated model."""
         return _planner_robot(self.scenario)
 
     def task(self) -> Task:
-        """The planner's task from the present state: objects are where they are now."""
+        """The planner's task, with all objects where they are now."""
         return make_task(self.world)
 
     def plan(
@@ -243,7 +308,7 @@ class RegraspEnv(gymnasium.Env):
         options: PlanOptions | None = None,
         known_grasps: Sequence[Grasp] = (),
     ) -> Plan:
-        """The planner's plan of the task from the present state: what the expert follows. See `regrasp_planner.plan`.
+        """A plan from the current state, for the expert to follow. See `regrasp_planner.plan`.
 
         Args:
             strategy: see `regrasp_planner.Strategy`.
@@ -263,20 +328,20 @@ class RegraspEnv(gymnasium.Env):
         return plan(self.task(), self.planner_robot, strategy, seed, options, known_grasps)
 
     def plan_options(self) -> PlanOptions:
-        """How much effort the planner makes in these scenes."""
+        """The planner's effort in these scenes."""
         from regrasp_planner import PlanOptions
 
         return PlanOptions()
 
     def picture(self, camera: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
-        """A picture with smooth edges from any camera of the model, with a translucent target at the goal.
+        """An antialiased picture from any camera of the model, with a translucent target at the goal.
 
         Raises:
-            OptionError: larger than ``render_size``, or the environment has no render mode.
+            OptionError: the picture is larger than ``render_size``, or there is no render mode.
         """
         if not self.render_mode or height > self.render_size[0] or width > self.render_size[1]:
             raise OptionError(
-                f"a picture of {height}×{width} pixels is larger than the buffer; make the environment with "
+                f"a picture of {height}×{width} pixels does not fit the buffer; make the environment with "
                 f"render_mode='rgb_array' and render_size=({height}, {width})"
             )
         world = self.world
@@ -284,22 +349,22 @@ class RegraspEnv(gymnasium.Env):
         return halved(large)
 
     def get_state(self) -> EnvState:
-        """All that the future of the episode depends on; `set_state` continues from it to the last bit."""
+        """Everything that determines the rest of the episode; `set_state` continues from it to the last bit."""
         random = self.np_random.bit_generator.state
         world = self.world
         joints = self.scenario.robot.arm_joints
         return EnvState(joints, world.scene, world.get_state(), self._command.copy(), self._elapsed, random)
 
     def set_state(self, state: EnvState) -> dict:
-        """Go back to a saved state, of this environment or of another one of the same id, and return its observation.
+        """Restore a saved state of this environment, or of another of the same id, and return its observation.
 
         Raises:
-            StateError: not a saved state, or one of another robot or of more objects than observations have room for.
+            StateError: not a saved state, another robot's, or with more objects than observations have room for.
         """
         if not isinstance(state, EnvState):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise StateError(f"{type(state).__name__} is no saved state; give what get_state() returned")
+            raise StateError(f"{type(state).__name__} is not a saved state; give the result of get_state()")
         if state.joints != self.scenario.robot.arm_joints:
-            raise StateError(f"the state is of another robot, with the joints {', '.join(state.joints)}")
+            raise StateError(f"the state is of another robot, with joints {', '.join(state.joints)}; restore it there")
         self._check_room(state.scene, StateError)
         if self._world is None or state.scene is not self._world.scene:
             self._world = World(self._base, self.scenario.robot, state.scene)
@@ -314,14 +379,14 @@ class RegraspEnv(gymnasium.Env):
         """Steps since the reset."""
         return self._elapsed
 
-    # Parts ------------------------------------------------------------------------------------------------------
+    # Internals ----------------------------------------------------------------------------------------------------
 
     def _chosen_scene(self, seed: int | None, options: dict[str, Any]) -> Scene:
         unknown = set(options) - {"scene"}
         if unknown:
             raise OptionError(f"unknown reset option {sorted(unknown)[0]!r}; the only one is 'scene'")
         wanted = options.get("scene")
-        # Drawn even if it is not used, so that what follows does not depend on the options.
+        # Drawn even if unused, so that later scenes do not depend on the options.
         drawn = int(self.np_random.integers(2**31)) if seed is None else seed
         if wanted is None:
             return self.scenario.make_scene(drawn, self.scene_config)
@@ -330,13 +395,13 @@ class RegraspEnv(gymnasium.Env):
         if isinstance(wanted, Scene):
             self._check_room(wanted, OptionError)
             return wanted
-        raise OptionError(f"option 'scene' is {wanted!r}; give a scene or the seed of one")
+        raise OptionError(f"option 'scene' is {wanted!r}; give a scene or its seed")
 
     def _check_room(self, scene: Scene, error: type[EnvError]) -> None:
         if len(scene.others) > self.scenario.max_others:
             raise error(
                 f"the scene has {len(scene.others)} objects besides the target; observations have room for "
-                f"{self.scenario.max_others}"
+                f"{self.scenario.max_others}; give one with fewer"
             )
 
     def _make_control(self) -> control.Control:
@@ -360,7 +425,7 @@ class RegraspEnv(gymnasium.Env):
         )
 
     def _goals(self) -> Goals:
-        """Achieved and desired goal. A step works them out once: contacts and poses take time."""
+        """Achieved and desired goal, computed once per step: contacts and poses take time."""
         world, held = self.world, self.scenario.held
         return observation.achieved_goal(world, self.scenario.tolerance, held), observation.desired_goal(world, held)
 

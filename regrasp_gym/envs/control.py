@@ -1,8 +1,8 @@
 """From actions to commanded positions of the arm's joints and of the fingers.
 
-A command is an array (n + 1,): joint positions in radians, then the finger coordinate θ (travel of each finger in
-metres for sliding fingers, an angle for jaws). The environment moves the actuators' set points from the last command
-to the new one in a straight line over the physics steps of one environment step.
+A command is an array (n + 1,): joint positions in radians, then the finger coordinate θ (travel in metres for sliding
+fingers, an angle in radians for jaws). Over the physics steps of one environment step, the actuators' set points move
+in a straight line from the last command to the new one.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from regrasp_gym.errors import ActionError
 
 @dataclass(frozen=True, eq=False)
 class CommandLimits:
-    """Range of commands, and how far one may be from the one before.
+    """Limits of commands and of their steps.
 
     Attributes:
         lower, upper: (n + 1,) least and greatest command.
-        step: (n,) farthest a joint's command moves in one environment step, radians.
+        step: (n,) largest move of each joint's command in one environment step, radians.
     """
 
     lower: Float[np.ndarray, " n+1"]
@@ -32,9 +32,9 @@ class CommandLimits:
     step: Float[np.ndarray, " n"]
 
     def advance(self, command: Float[np.ndarray, " n+1"], wanted: Float[np.ndarray, " n+1"]) -> np.ndarray:
-        """The command nearest to ``wanted`` along the straight line from ``command``, within range and step.
+        """The command nearest to ``wanted`` on the straight line from ``command``, within limits and step.
 
-        All joints are slowed down alike, so that the path in joint space is kept; θ is only clipped.
+        All joints slow down by the same factor, which keeps the path in joint space; θ is only clipped.
         """
         wanted = np.clip(wanted, self.lower, self.upper)
         move = wanted[:-1] - command[:-1]
@@ -43,26 +43,26 @@ class CommandLimits:
 
 
 class Control(Protocol):
-    """A meaning of actions."""
+    """A control mode: how actions become commands."""
 
     @property
     def action_space(self) -> spaces.Box:
-        """Where actions are."""
+        """The space of actions."""
         ...
 
     def command(self, action: Float[np.ndarray, " m"], last: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, " n+1"]:
-        """The command that an action asks for, given the last one."""
+        """The command for an action, given the last command."""
         ...
 
     def toward(self, wanted: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, " m"]:
-        """The action that asks for a command, given the last one; beyond the action space if it is too far away.
+        """The action for a command, given the last one; outside of the action space if the command is too far away.
 
-        The arm's part of it, divided by `effort`, is within the action space.
+        The arm's part, divided by `effort`, is in the action space.
         """
         ...
 
     def effort(self, wanted: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> float:
-        """How many environment steps the arm needs from the last command to the wanted one (a fraction if near)."""
+        """Environment steps that the arm needs from the last command to the wanted one, possibly less than 1."""
         ...
 
 
@@ -74,7 +74,7 @@ class JointPositionControl:
         self.action_space = spaces.Box(_up(limits.lower), _down(limits.upper), dtype=np.float32)
 
     def command(self, action: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> np.ndarray:
-        """The action itself, clipped to the action space, as far as one step goes."""
+        """The action, clipped to the action space and to one step."""
         wanted = np.clip(np.asarray(action, float), self.action_space.low, self.action_space.high)
         return self.limits.advance(last, wanted)
 
@@ -84,16 +84,16 @@ class JointPositionControl:
         return np.asarray(wanted, float)
 
     def effort(self, wanted: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> float:
-        """Steps needed by the slowest joint."""
+        """Steps of the slowest joint."""
         return float((np.abs(wanted - last)[:-1] / self.limits.step).max())
 
 
 class EndEffectorDeltaControl:
-    """Actions move and turn the commanded gripper pose: (7,) in [−1, 1].
+    """Actions translate and rotate the commanded gripper pose: (7,) in [−1, 1].
 
-    Entries 0–2 move it along the world's axes (times ``translation_step``), 3–5 are a rotation vector about the
-    world's axes (times ``rotation_step``), 6 sets the fingers: −1 closed, 1 open, linear between. The commanded pose is
-    that of the commanded joint positions, so it never runs away from what the arm can reach.
+    Entries 0–2 translate along the world's axes (times ``translation_step``). Entries 3–5 are a rotation vector about
+    the world's axes (times ``rotation_step``). Entry 6 sets the fingers, linearly from −1 (closed) to 1 (open). The
+    commanded pose is that of the commanded joint positions, so it always stays reachable.
 
     The joint positions follow by damped least squares, Δq = Jᵀ(JJᵀ + λ²I)⁻¹e (Nakamura and Hanafusa, "Inverse
     kinematic solutions with singularity robustness", ASME J. Dyn. Sys. 1986), clipped to the limits at each iteration.
@@ -122,12 +122,12 @@ class EndEffectorDeltaControl:
         self._site = robot.site(site).id
 
     def command(self, action: Float[np.ndarray, " 7"], last: Float[np.ndarray, " n+1"]) -> np.ndarray:
-        """Joint positions that take the gripper where the action asks for, as near as limits allow."""
+        """Joint positions that move the gripper as the action asks, as near as limits allow."""
         action = np.clip(np.asarray(action, float), -1.0, 1.0)
         low, high = self.limits.lower[-1], self.limits.upper[-1]
         theta = low + 0.5 * (action[6] + 1) * (high - low)
         joints = last[:-1]
-        # No drift while no motion is asked for.
+        # Without motion in the action, do not drift.
         if action[:6].any():
             position, rotation = self.gripper_frame(joints)
             delta = action[:6] * self._scale
@@ -135,7 +135,7 @@ class EndEffectorDeltaControl:
         return self.limits.advance(last, np.append(joints, theta))
 
     def toward(self, wanted: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> np.ndarray:
-        """The move and turn from the last commanded gripper pose to that of the wanted joint positions."""
+        """The motion from the last commanded gripper pose to that of the wanted joint positions."""
         position, rotation = self.gripper_frame(last[:-1])
         new_position, new_rotation = self.gripper_frame(wanted[:-1])
         delta = np.concatenate([new_position - position, _rotation_vector(new_rotation @ rotation.T)]) / self._scale
@@ -143,11 +143,11 @@ class EndEffectorDeltaControl:
         return np.append(delta, 2 * (wanted[-1] - low) / (high - low) - 1)
 
     def effort(self, wanted: Float[np.ndarray, " n+1"], last: Float[np.ndarray, " n+1"]) -> float:
-        """Steps needed by the largest entry of the move and turn."""
+        """Steps of the largest entry of the motion."""
         return float(np.abs(self.toward(wanted, last)[:6]).max())
 
     def gripper_frame(self, joints: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) and rotation (3, 3) of the gripper at given joint positions, world."""
+        """Position (3,) and rotation (3, 3) of the gripper at these joint positions, world."""
         self._data.qpos[self._qpos] = joints
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -172,15 +172,15 @@ def check_action(action: object, space: spaces.Box) -> Float[np.ndarray, " m"]:
     """The action as (m,) float64.
 
     Raises:
-        ActionError: it is no array of numbers, has another shape than the space, or is not finite. Entries out of
-            range are no error: they are clipped.
+        ActionError: not an array of numbers, wrong shape, or not finite. Out-of-range entries are not an error: they
+            are clipped.
     """
     try:
         array = np.asarray(action, float)
     except (TypeError, ValueError) as error:
-        raise ActionError(f"action {action!r} is no array of numbers; the action space is {space}") from error
+        raise ActionError(f"action {action!r} is not an array of numbers; the action space is {space}") from error
     if array.shape != space.shape:
-        raise ActionError(f"action has shape {array.shape}, the action space needs {space.shape}")
+        raise ActionError(f"action has shape {array.shape}; the action space needs {space.shape}")
     bad = np.flatnonzero(~np.isfinite(array))
     if len(bad):
         raise ActionError(f"action[{bad[0]}] is {array[bad[0]]}; actions must be finite")
@@ -188,7 +188,7 @@ def check_action(action: object, space: spaces.Box) -> Float[np.ndarray, " m"]:
 
 
 def _up(values: np.ndarray) -> np.ndarray:
-    """float32 not below ``values``: a bound of the action space must not round to outside of the joint's limits."""
+    """Rounded up to float32: bounds of the action space must stay within the joint limits."""
     rounded = values.astype(np.float32)
     return np.where(rounded < values, np.nextafter(rounded, np.float32(np.inf)), rounded)
 

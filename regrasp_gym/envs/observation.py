@@ -1,7 +1,7 @@
-"""What the agent sees of a world: vectors of fixed size, whatever the number of objects.
+"""Observations: vectors of fixed size, whatever the number of objects.
 
-Vectors are float64 in metres, radians and seconds; poses are wxyz_xyz, `canonical`. Each layout is written down once,
-here, as a table of (name, size); the environments' docstrings repeat it for their robot, and a test compares the two.
+Vectors are float64 in metres, radians and seconds; poses are `canonical` wxyz_xyz. Each layout is defined here, as a
+table of (name, size). The environments' docstrings repeat it for their robot, and a test compares the two.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from regrasp_gym.simulation.scenario import Tolerance
 from regrasp_gym.simulation.world import World
 
 OTHER_SIZE = 11
-"""Entries per object besides the target: present (0 or 1), pose (7), half extents (3). All 0 where there is none."""
+"""Entries per object besides the target: present (0 or 1), pose (7), half extents (3). All 0 if absent."""
 
 
 def state_layout(joints: int, max_others: int) -> tuple[tuple[str, int], ...]:
@@ -44,7 +44,7 @@ def environment_layout(max_others: int) -> tuple[tuple[str, int], ...]:
 
 
 def agent_layout(joints: int) -> tuple[tuple[str, int], ...]:
-    """Parts of the vector ``agent_pos``: the same entries as an action under ``joint_pos``."""
+    """Parts of the vector ``agent_pos``: those of an action under ``joint_pos``."""
     return (("joint positions", joints), ("finger coordinate", 1))
 
 
@@ -54,7 +54,7 @@ def size(layout: tuple[tuple[str, int], ...]) -> int:
 
 
 def state_space(joints: int, max_others: int) -> spaces.Dict:
-    """Space of observations of type ``state``, a goal environment's dictionary."""
+    """Space of observations of type ``state``, the dictionary of a goal environment."""
     return spaces.Dict(
         {
             "observation": _vectors(size(state_layout(joints, max_others))),
@@ -77,7 +77,7 @@ def pixels_space(joints: int, max_others: int, cameras: tuple[str, ...], height:
 
 
 def state_vector(world: World, max_others: int) -> Float[np.ndarray, " s"]:
-    """The vector ``observation``, laid out as `state_layout` says."""
+    """The vector ``observation``, laid out by `state_layout`."""
     return np.concatenate(
         [
             world.joint_positions,
@@ -92,7 +92,7 @@ def state_vector(world: World, max_others: int) -> Float[np.ndarray, " s"]:
 
 
 def environment_vector(world: World, max_others: int) -> Float[np.ndarray, " e"]:
-    """The vector ``environment_state``, laid out as `environment_layout` says."""
+    """The vector ``environment_state``, laid out by `environment_layout`."""
     return np.concatenate(
         [
             world.target_pose,
@@ -104,27 +104,27 @@ def environment_vector(world: World, max_others: int) -> Float[np.ndarray, " e"]
 
 
 def agent_vector(world: World) -> Float[np.ndarray, " n+1"]:
-    """The vector ``agent_pos``, laid out as `agent_layout` says."""
+    """The vector ``agent_pos``, laid out by `agent_layout`."""
     return np.append(world.joint_positions, world.theta)
 
 
 def achieved_goal(world: World, tolerance: Tolerance, held: bool = False) -> Float[np.ndarray, " 10"]:
-    """The goal that the present state is an example of (see `regrasp_gym.envs.reward`).
+    """The goal that the current state achieves (see `regrasp_gym.envs.reward`).
 
-    The target counts as moving while it is faster than the tolerance, and while nothing but the gripper supports it:
-    an object at the top of a throw is not at rest. Where the goal is to have it ``held``, it counts as moving unless
-    the gripper, and nothing else, supports it.
+    The target counts as moving while it is faster than the tolerance, or while nothing other than the gripper supports
+    it: an object at the top of a throw is not at rest. If it has to be ``held``, it counts as moving unless the gripper
+    alone supports it.
     """
     pose, velocity = world.target_pose, world.target_velocity
     touched, supported = world.target_contacts()
     slow = np.linalg.norm(velocity[:3]) <= tolerance.speed and np.linalg.norm(velocity[3:]) <= tolerance.turn_rate
-    reach = np.linalg.norm(world.gripper_pose[4:] - pose[4:])
+    distance = np.linalg.norm(world.gripper_pose[4:] - pose[4:])
     carried = touched and not supported if held else supported
-    return np.concatenate([pose, np.array([not (slow and carried), touched, reach], float)])
+    return np.concatenate([pose, np.array([not (slow and carried), touched, distance], float)])
 
 
 def desired_goal(world: World, held: bool = False) -> Float[np.ndarray, " 10"]:
-    """The scene's goal: the target there, at rest, and not touched unless it is to be ``held``."""
+    """The scene's goal: the target in place, at rest, and untouched unless it has to be ``held``."""
     return np.concatenate([canonical(world.scene.goal_pose), np.array([0.0, held, 0.0])])
 
 

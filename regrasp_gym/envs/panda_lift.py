@@ -1,4 +1,4 @@
-"""The easiest of the Panda's tasks: one object on an empty table, to be lifted."""
+"""The Panda's easiest task: lift the only object on a table."""
 
 from __future__ import annotations
 
@@ -23,76 +23,62 @@ PANDA_LIFT = replace(
     max_others=0,
     held=True,
 )
-"""The Panda on its table, with a single object."""
+"""The Panda at its table with a single object."""
 
 
 class PandaYCBLiftEnv(RegraspEnv):
-    """Take the one object that lies on a table and hold it 10 cm higher.
+    """Grasp the only object on a table and hold it 10 cm higher.
 
-    **Task.** A Franka Panda with a parallel gripper stands on a table on which the target lies, in reach and in a pose
-    in which the gripper fits over it from above. The first step towards `PandaYCBEnv`: same robot, same actions, same
-    layout of observations without other objects.
+    A first step towards `PandaYCBEnv`: same robot, same actions, same observations without other objects. What is not
+    said here is in `RegraspEnv`.
 
-    **Randomizations.** From the scene's seed: which of the config's objects is the target (by default it is always the
-    foam brick), where it lies in a rectangle of 12 × 16 cm in front of the robot, and how it is turned (±23° from where
-    its narrow sides face left and right). It lies as it is most likely to land. `LiftConfig` holds the ranges. The
-    robot always starts in its ready configuration with the gripper open.
+    **Task.** A Franka Panda with a parallel gripper stands on a table. The target lies on it within reach, in a pose
+    that the gripper fits over from above.
+
+    **Randomizations.** From the scene's seed: the target among the config's objects (by default only the foam brick),
+    its position in a rectangle of 12 × 16 cm in front of the robot, and its yaw (narrow sides within 23° of facing left
+    and right). It lies in its likeliest resting pose. `LiftConfig` holds the ranges. The robot always starts in its
+    ready configuration with the gripper open.
 
     **Success.** The target is within 25 mm and 30° of the goal pose and *held still*: the gripper touches it, nothing
-    else does, and it moves no faster than 50 mm/s and 0.5 rad/s. ``info["is_success"]`` says so for the present step;
-    it can turn false again.
+    else does, and it moves no faster than 50 mm/s and 0.5 rad/s.
 
-    **Goal.** The pose in which the target starts, 10 cm higher.
+    **Goal.** The target's start pose, 10 cm higher.
 
     ## Action Space
 
     As in `PandaYCBEnv`: ``control_mode="joint_pos"`` is `Box((8,), float32)` of joint positions (rad) and finger travel
-    (m), ``control_mode="ee_delta"`` is `Box(-1, 1, (7,), float32)` of a move (±20 mm), a turn (±0.1 rad) and the finger
-    travel. One step is 50 ms (20 Hz).
+    (m); ``control_mode="ee_delta"`` is `Box(-1, 1, (7,), float32)` of a translation (±20 mm), a rotation (±0.1 rad) and
+    the finger travel. One step is 50 ms (20 Hz).
 
     ## Observation Space
 
-    As in `PandaYCBEnv`, without other objects. ``obs_type="state"``: ``observation`` (32,), ``achieved_goal`` (10,) and
-    ``desired_goal`` (10,).
+    As in `PandaYCBEnv`, without other objects.
 
-    | Num    | observation                                             | Unit       |
-    |--------|---------------------------------------------------------|------------|
-    | 0–6    | joint positions                                         | rad        |
-    | 7–13   | joint velocities                                        | rad/s      |
-    | 14     | finger coordinate: travel of each finger                | m          |
-    | 15     | finger rate                                             | m/s        |
-    | 16–22  | gripper pose                                            | –, m       |
-    | 23–28  | target velocity: linear, angular, world                 | m/s, rad/s |
-    | 29–31  | target half extents along its axes                      | m          |
-
-    | Num | achieved_goal, desired_goal                                                          | Unit |
-    |-----|--------------------------------------------------------------------------------------|------|
-    | 0–6 | pose of the target                                                                   | –, m |
-    | 7   | 0 if it is held still (see Success), else 1; desired: 0                              | –    |
-    | 8   | 1 if the gripper touches it, else 0; desired: 1                                      | –    |
-    | 9   | distance of the gripper frame from the target's centre; desired: 0, never compared   | m    |
-
-    ``obs_type="pixels_agent_pos"``: ``pixels`` (``front`` and ``wrist``, each (128, 128, 3) uint8), ``agent_pos`` (8,)
-    and ``environment_state`` (17,): target pose 7, target half extents 3, goal pose 7.
+    - ``obs_type="state"``: ``observation`` (32,): joint positions 7 (rad), joint velocities 7 (rad/s), finger
+      coordinate 1 (m), finger rate 1 (m/s), gripper pose 7 (–, m), target velocity 6 (m/s, rad/s), target half
+      extents 3 (m). ``achieved_goal`` (10,) and ``desired_goal`` (10,): entry 7 is 0 if the target is held still, else
+      1; entry 8 of the desired goal is 1.
+    - ``obs_type="pixels_agent_pos"``: ``pixels`` (``front`` and ``wrist``, each (128, 128, 3) uint8), ``agent_pos``
+      (8,): joint positions 7 (rad), finger coordinate 1 (m); ``environment_state`` (17,): target pose 7 (–, m), target
+      half extents 3 (m), goal pose 7 (–, m).
 
     ## Rewards
 
-    As in `PandaYCBEnv`: *sparse* is 0 on success and else -1, *dense* is 0 on success and else
-    -1 + 0.25 reach + 0.7 closeness. ``compute_reward`` gives the same for any two goals, single or in batches, without
-    using ``info``: success is a pose within tolerance and entries 7 and 8 of the achieved goal not above those of the
-    desired one. A relabelled goal in which the target lies on the table is thus reached by having it there.
+    As in `RegraspEnv`, with lever 0.1 m/rad and length 0.2 m. A relabelled goal in which the target lies on the table
+    is reached by leaving it there.
 
     ## Starting State
 
-    The scene of the reset's seed, everything at rest; otherwise as in `PandaYCBEnv`.
+    The scene of the reset's seed, a `LiftScene`, with everything at rest.
 
     ## Episode End
 
-    Termination: none by default; with ``terminate_on_success=True``, on success. Truncation: after 150 steps (7.5 s).
+    Termination: none by default; on success with ``terminate_on_success=True``. Truncation: after 150 steps (7.5 s).
 
     ## Arguments
 
-    As in `PandaYCBEnv`, with a `LiftConfig` for ``scene_config``.
+    Those of `RegraspEnv`. ``scene_config`` is a `LiftConfig`; cameras are ``"overview"``, ``"front"`` and ``"wrist"``.
 
     ## Version History
 

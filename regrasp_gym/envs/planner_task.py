@@ -1,4 +1,4 @@
-"""The planner's view of a world: a `regrasp_planner.Task` of the present state."""
+"""The planner's view of a world: a `regrasp_planner.Task` of the current state."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 def make_task(world: World) -> Task:
-    """Move the target from where it is now to the goal, everything else staying where it is now.
+    """The task of moving the target from its current pose to the goal, while everything else stays in place.
 
-    The obstacles are all fixtures and all other objects, in both scenes.
+    All fixtures and all other objects are obstacles, in both scenes.
     """
-    # Imported here because it loads JAX, which stepping an environment does not need.
+    # Loads JAX, which stepping does not need.
     from regrasp_planner.task import Obstacle, ReleaseArea, Scene, Task
 
     scene = world.scene
@@ -31,7 +31,7 @@ def make_task(world: World) -> Task:
         pick=Scene("pick", world.target_pose, obstacles),
         place=Scene("place", scene.goal_pose, obstacles),
         release=ReleaseArea(scene.release.center, scene.release.half_extents),
-        # Joint limits are soft in the simulation: an arm that rests against one may be a little beyond it.
+        # Joint limits are soft in the simulation: an arm that rests against one may slightly exceed it.
         start=np.clip(world.joint_positions, *world.joint_limits),
         supports=frozenset(fixture.name for fixture in scene.fixtures if fixture.support),
     )

@@ -1,4 +1,4 @@
-"""Wrappers that registered environments come with."""
+"""Wrappers of the registered environments."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 
 class GoalReward(gymnasium.Wrapper):
-    """Lets ``compute_reward`` through.
+    """Forwards ``compute_reward``.
 
-    Wrappers hide what they do not know, and the checks and replay buffers of goal-conditioned learning look for it on
-    what `gymnasium.make` returns.
+    Gymnasium's wrappers hide attributes that they do not know. Goal-conditioned checkers and replay buffers look for
+    this one on the result of `gymnasium.make`.
     """
 
     @property
     def compute_reward(self) -> Callable[[np.ndarray, np.ndarray, Any], np.ndarray]:
-        """The environment's own; there is none unless observations have goals."""
+        """The environment's reward function; missing unless observations have goals."""
         return self.env.get_wrapper_attr("compute_reward")

@@ -1,6 +1,6 @@
-"""The facets of a convex polyhedron: their areas, their solid angles, and how far a polyhedron on them is from tipping.
+"""Facets of a convex polyhedron: areas, solid angles, and margins against tipping.
 
-Scenes are equal to the last bit as long as these functions round as they do: reorder no arithmetic here.
+The last bits of scenes depend on the rounding here: do not reorder arithmetic.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
 _COPLANAR = 1e-6
-"""Triangles of a hull belong to one facet if their corners are this near to one plane, metres."""
+"""Largest distance (metres) from a facet's plane of the corners of its triangles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Facets:
-    """The facets of a convex polyhedron, by their edges. Lengths in metres.
+    """Facets of a convex polyhedron by their edges. Lengths in metres.
 
     Attributes:
         points: (N, 3) corners.
         normals: (F, 3) unit outward normals.
-        facet: (T,) which facet an edge belongs to.
-        edges: (T, 2) corners at which it starts and ends, counter-clockwise from outside.
+        facet: (T,) facet of each edge.
+        edges: (T, 2) start and end corner of each edge, counter-clockwise from outside.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -34,24 +34,24 @@ class Facets:
 
     @cached_property
     def triangles(self) -> Float[np.ndarray, "T 3 3"]:
-        """(T, 3, 3) triangles that make up the surface: start and end of an edge, and the middle of its facet."""
+        """(T, 3, 3) triangles of the surface: start and end of an edge, and the middle of its facet."""
         ends = self.points[self.edges]
         return np.concatenate([ends, _middles(ends, self.facet)[self.facet][:, None]], axis=1)
 
     @cached_property
     def areas(self) -> Float[np.ndarray, " F"]:
-        """(F,) square metres."""
+        """(F,) areas of the facets, square metres."""
         a, b, c = np.moveaxis(self.triangles, 1, 0)
         return np.bincount(self.facet, 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
     @cached_property
     def volume(self) -> float:
-        """Cubic metres; the origin has to be inside."""
+        """Volume, cubic metres; the origin has to be inside."""
         return float(np.linalg.det(self.triangles).sum() / 6)
 
     @cached_property
     def solid_angles(self) -> Float[np.ndarray, " F"]:
-        """(F,) from the origin, as shares of the sphere (Van Oosterom and Strackee, IEEE T-BME 1983)."""
+        """(F,) solid angles from the origin, as shares of the sphere (Van Oosterom and Strackee, IEEE T-BME 1983)."""
         unit = self.triangles / np.linalg.norm(self.triangles, axis=2, keepdims=True)
         a, b, c = np.moveaxis(unit, 1, 0)
         below = 1 + (a * b).sum(axis=1) + (b * c).sum(axis=1) + (a * c).sum(axis=1)
@@ -59,14 +59,14 @@ class Facets:
 
     @cached_property
     def edge_margins(self) -> Float[np.ndarray, " T"]:
-        """(T,) distance of the origin, moved along the facet's normal, from an edge; negative beyond it."""
+        """(T,) distances of the origin, projected onto the facet, from its edges; negative beyond them."""
         a, b = np.moveaxis(self.points[self.edges], 1, 0)
         inward = np.cross(self.normals[self.facet], b - a)
         return -(inward * a).sum(axis=1) / np.linalg.norm(inward, axis=1)
 
     @cached_property
     def margins(self) -> Float[np.ndarray, " F"]:
-        """(F,) the least of the `edge_margins` of each facet: with the origin at the centre of mass, > 0 is stable."""
+        """(F,) least `edge_margins` of each facet: with the origin at the centre of mass, > 0 is stable."""
         return self._least(self.edge_margins)
 
     @cached_property
@@ -91,15 +91,15 @@ class Facets:
 
 
 def find_facets(points: Float[np.ndarray, "N 3"]) -> Facets:
-    """The facets of the convex hull of points, in the order of the first triangle that Qhull gives for each."""
+    """The facets of the convex hull of points, in the order of their first triangles from Qhull."""
     hull = ConvexHull(points)
     if len(hull.vertices) < len(points):
         return find_facets(points[hull.vertices])
-    # Qhull splits facets into triangles. Each belongs to the first whose plane holds its corners.
+    # Qhull splits facets into triangles. Each belongs to the first one whose plane contains its corners.
     on_plane = np.abs(hull.equations[:, :3] @ points.T + hull.equations[:, 3:]) < _COPLANAR
     first, part = np.unique(on_plane[:, hull.simplices].all(axis=2).argmax(axis=0), return_inverse=True)
     normals = hull.equations[first, :3]
-    # The neighbour k of a triangle is across the edge opposite to its corner k.
+    # Neighbour k of a triangle is across the edge opposite corner k.
     which, k = np.nonzero(part[hull.neighbors] != part[:, None])
     edges = np.stack([hull.simplices[which, (k + 1) % 3], hull.simplices[which, (k + 2) % 3]], axis=1)
     facet = part[which]
@@ -111,7 +111,7 @@ def find_facets(points: Float[np.ndarray, "N 3"]) -> Facets:
 
 
 def counter_clockwise(corners: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "K 3"]:
-    """Corners of a convex polygon in order around its normal, beginning opposite to the first one given."""
+    """Corners of a convex polygon in order around its normal, starting opposite the first one given."""
     middle = corners.mean(axis=0)
     across = (corners[0] - middle) / np.linalg.norm(corners[0] - middle)
     spokes = corners - middle

@@ -1,6 +1,6 @@
 """Poses and rotations.
 
-Scenes are equal to the last bit as long as these functions round as they do: reorder no arithmetic here.
+The last bits of scenes depend on the rounding here: do not reorder arithmetic.
 """
 
 from __future__ import annotations
@@ -10,26 +10,26 @@ import numpy as np
 from jaxtyping import Float
 
 Pose = Float[np.ndarray, " 7"]
-"""wxyz_xyz: unit quaternion, then position in metres."""
+"""wxyz_xyz: unit quaternion and position in metres."""
 
 _POSITIVE = np.array([1.0, 0.41, 0.33, 0.27])
 
 
 def turn(angles: float | Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 2 2"]:
-    """Rotations of the plane by these angles, radians."""
+    """Rotations of the plane by angles in radians."""
     c, s = np.cos(angles), np.sin(angles)
     return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 
 def about_z(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation about z, radians."""
+    """Rotation about z by an angle in radians."""
     rotation = np.eye(3)
     rotation[:2, :2] = turn(angle)
     return rotation
 
 
 def turning_down(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation by the least angle that turns a unit direction to −z."""
+    """The smallest rotation that turns a unit direction to −z."""
     x, y, z = direction
     if z > 1 - 1e-12:
         return np.diag([1.0, -1.0, -1.0])
@@ -39,7 +39,7 @@ def turning_down(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]
 
 
 def plane_frame(normal: Float[np.ndarray, " 3"], outward: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Right-handed frame with this unit normal as its z axis and its x axis as close as possible to ``outward``."""
+    """Right-handed frame with the unit normal as z axis and its x axis as close as possible to ``outward``."""
     x = outward - (outward @ normal) * normal
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(normal, x), normal])
@@ -53,8 +53,8 @@ def to_pose(quaternion: Float[np.ndarray, " 4"], position: Float[np.ndarray, " 3
 def shepperd_quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
     """(4,) wxyz of a rotation matrix by Shepperd's method, which computes the largest component first.
 
-    SciPy's and MuJoCo's conversions differ from it in the last bit. `PandaYCB-v0` has its scenes from this one,
-    `PandaYCBLift-v0` from SciPy's and `ExcavatorStones-v0` from MuJoCo's: none can replace another.
+    SciPy's and MuJoCo's conversions differ in the last bit. Scenes of `PandaYCB-v0` come from this one, those of
+    `PandaYCBLift-v0` from SciPy's and those of `ExcavatorStones-v0` from MuJoCo's: none can replace another.
     """
     r = rotation
     squares = np.array([np.trace(r), r[0, 0], r[1, 1], r[2, 2]])
@@ -79,9 +79,9 @@ def mujoco_quaternion(rotation: Float[np.ndarray, "3 3"] | Float[np.ndarray, " 9
 
 
 def canonical(pose: Float[np.ndarray, "*batch 7"]) -> Float[np.ndarray, "*batch 7"]:
-    """The same poses with the one of their two unit quaternions for which w + 0.41 x + 0.33 y + 0.27 z ≥ 0.
+    """The same poses with the one of their two unit quaternions that has w + 0.41 x + 0.33 y + 0.27 z ≥ 0.
 
-    Not w ≥ 0: objects often lie upside down, where w is zero up to noise, and the sign would flip with the noise.
+    Not w ≥ 0: objects often lie upside down, with w zero up to noise, and the sign would flip with the noise.
     """
     quaternion = pose[..., :4] / np.linalg.norm(pose[..., :4], axis=-1, keepdims=True)
     flip = (quaternion @ _POSITIVE)[..., None] < 0

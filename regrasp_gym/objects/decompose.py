@@ -1,8 +1,8 @@
-"""Convex pieces of shapes that are not convex, by CoACD, kept on disk.
+"""Convex decomposition by CoACD, cached on disk.
 
 CoACD cuts a closed mesh along planes until each part is nearly its own convex hull (Wei, Liu, Ling, Su, "Approximate
 convex decomposition for 3D meshes with collision-aware concavity and tree search", ACM TOG 2022). It takes up to a
-minute for a scan, so what came out is kept under the hash of what went in.
+minute for a scan, so the pieces are stored under a hash of the input.
 """
 
 from __future__ import annotations
@@ -26,32 +26,33 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from regrasp_gym.objects.model import MAX_HULL_VERTICES
+from regrasp_gym.reports.files import replacing
 from regrasp_planner.errors import GeometryError
 from regrasp_planner.geometry.hull import reduced_hull
 
 MAX_PIECES = 16
-"""Most pieces of one object; the planner and the physics pay for each of them in every distance."""
+"""Most pieces of one object; each of them costs planner and physics time in every distance."""
 
 THRESHOLD = 0.05
-"""Concavity up to which CoACD takes a part as convex, as a share of the size of the object."""
+"""Concavity below which CoACD counts a part as convex, as a share of the object's size."""
 
 _ITERATIONS = 60
-"""CoACD's tree search; on the scans of mug and drill its default of 150 takes twice as long for no tighter pieces."""
+"""Iterations of CoACD's tree search. On scans of mug and drill its default of 150 takes twice as long for no gain."""
 
 _PATIENCE = 900.0
-"""Seconds after which CoACD is taken to go round in circles."""
+"""Seconds after which CoACD is stopped."""
 
 _VOXELS = 100
 """Resolution of CoACD's repair."""
 
 CONVEX = 0.02
-"""Share of its hull that a convex part may lack, for roundings."""
+"""Share of its hull that a convex part may lack because of rounding."""
 
 _SPLINTER = 1e-5
-"""Root mean square thickness in metres below which a piece is none."""
+"""Root mean square thickness in metres below which a piece is dropped."""
 
 _LAYOUT = 1
-"""Raise this when what is stored, or how it is made, changes."""
+"""Version of the stored pieces; raise it when their format or computation changes."""
 
 
 def convex_pieces(
@@ -62,14 +63,14 @@ def convex_pieces(
     max_vertices: int = MAX_HULL_VERTICES,
     threshold: float = THRESHOLD,
 ) -> tuple[Float[np.ndarray, "K 3"], ...]:
-    """Convex pieces, K vertices each, that together hold a closed mesh; the same every time.
+    """Convex pieces, K vertices each, that together contain a closed mesh. Deterministic.
 
-    The first call for a mesh may take a minute; the pieces are then kept in ``$REGRASP_CACHE_DIR`` (default
+    The first call for a mesh may take a minute; the pieces are then stored in ``$REGRASP_CACHE_DIR`` (default
     ``~/.cache/regrasp-gym``), folder ``pieces``.
 
     Args:
-        vertices, faces: the mesh, metres, each edge shared by two faces but for a few seams.
-        max_pieces: CoACD merges the parts that lose least by it until no more than this are left.
+        vertices, faces: the mesh, metres; every edge has two faces, except for a few seams.
+        max_pieces: CoACD merges parts, cheapest first, down to this number.
         max_vertices: most vertices of one piece, see `covering`.
         threshold: see `THRESHOLD`.
 
@@ -91,16 +92,16 @@ def convex_pieces(
 
 
 def _is_flat(points: np.ndarray) -> bool:
-    """Whether the points are a splinter without volume, as cuts along a face leave behind."""
+    """Whether the points are a splinter without volume, which a cut along a face can leave."""
     thickness = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(points))
     return len(points) < 4 or bool(thickness < _SPLINTER)
 
 
 def covering(points: Float[np.ndarray, "N 3"], max_vertices: int) -> Float[np.ndarray, "K 3"]:
-    """At most ``max_vertices`` points whose hull holds that of ``points``, and is little larger.
+    """At most ``max_vertices`` points whose hull contains ``points`` and is little larger.
 
-    The vertices that tell most are kept, and moved outwards by the least that brings every facet beyond the points
-    that were left out. A hull of few enough vertices comes back as it is.
+    The most prominent vertices are kept and moved outwards as little as possible, until every facet lies beyond the
+    points left out. A hull with few enough vertices is returned unchanged.
 
     Raises:
         GeometryError: the points span no volume.
@@ -136,7 +137,7 @@ def _outward_steps(hull: ConvexHull, needed: Float[np.ndarray, " F"]) -> Float[n
 def _decomposed(
     vertices: np.ndarray, faces: np.ndarray, max_pieces: int, threshold: float
 ) -> tuple[Float[np.ndarray, "K 3"], ...]:
-    """Each connected part of the mesh for itself: downloaded meshes often have parts that run through each other."""
+    """Decompose each connected part on its own: the parts of downloaded meshes often intersect."""
     import trimesh
 
     whole = trimesh.Trimesh(vertices, faces, process=False)
@@ -165,10 +166,10 @@ def _decomposed(
 def _run_coacd(
     vertices: np.ndarray, faces: np.ndarray, max_pieces: int, threshold: float, remeshed: bool = False
 ) -> tuple[Float[np.ndarray, "K 3"], ...]:
-    """CoACD, in a process of its own because meshes that run through themselves may crash it or keep it for ever.
+    """Run CoACD in its own process: a self-intersecting mesh can crash it or keep it running for ever.
 
-    First without its own repair, which takes several times as long and moves every surface outwards (0.3 mm on a box
-    of 10 cm); with it where that does not work.
+    The first try is without CoACD's repair, which takes several times as long and moves every surface outwards (0.3 mm
+    on a box of 10 cm). If that fails, a second try repairs.
     """
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder, "mesh.npz"), Path(folder, "pieces.npz")
@@ -185,7 +186,7 @@ def _run_coacd(
                     "seed": 0,
                 }
             )
-            # By its path: importing the package would take longer than many a mesh.
+            # By its path: importing the package would take longer than many meshes.
             script = str(Path(__file__).with_name("run_coacd.py"))
             command = [sys.executable, script, str(given), str(made), options]
             try:
@@ -197,7 +198,9 @@ def _run_coacd(
             if pieces is not None:
                 return pieces
             said = run.stderr.strip()[-500:] or f"exit status {run.returncode}"
-    raise GeometryError(f"CoACD cannot decompose the mesh of {len(faces)} faces ({said}); take max_pieces=1, its hull")
+    raise GeometryError(
+        f"CoACD cannot decompose the mesh of {len(faces)} faces ({said}); pass max_pieces=1 to use its hull"
+    )
 
 
 def _key(vertices: np.ndarray, faces: np.ndarray, *options: float) -> str:
@@ -214,7 +217,7 @@ def _cache_folder() -> Path:
 
 
 def _read(file: Path) -> tuple[Float[np.ndarray, "K 3"], ...] | None:
-    """What is stored, or None where nothing is, or nothing whole."""
+    """The stored pieces, or None if the file is missing or damaged."""
     try:
         with np.load(file, allow_pickle=False) as stored:
             pieces = tuple(stored[f"piece_{k}"] for k in range(len(stored.files)))
@@ -225,13 +228,10 @@ def _read(file: Path) -> tuple[Float[np.ndarray, "K 3"], ...] | None:
 
 
 def _write(file: Path, pieces: Sequence[np.ndarray]) -> None:
-    """Under another name first, so that no other process ever reads half a file."""
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".npz", delete=False) as half:
+        with replacing(file) as unfinished:
             arrays: Any = {f"piece_{k}": piece for k, piece in enumerate(pieces)}
-            np.savez_compressed(half, **arrays)
-        os.replace(half.name, file)
+            np.savez_compressed(unfinished, **arrays)
     except OSError as error:
         warnings.warn(
             f"the convex pieces cannot be kept in {file.parent} and are made anew each time: {error}; "

@@ -1,4 +1,4 @@
-"""Objects from mesh files: any OBJ, STL or PLY becomes convex pieces with the mesh's mass properties and looks."""
+"""Objects from mesh files: convex pieces with the mesh's mass properties and looks."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
     import trimesh
 
 HUGE = 5.0
-"""Extent in metres above which a mesh is taken to be in other units."""
+"""Extent in metres above which a mesh is probably in other units."""
 
 FILLED = 0.85
-"""Share of its convex hull that a mesh has to fill to be taken as convex: cans and bottles do, cups do not."""
+"""Share of its hull that a mesh must fill to count as convex: cans and bottles do, cups do not."""
 
 BASE = 1e-3
-"""Unevenness of an upright object's base in metres, up to 2 % of its height, that is taken for noise."""
+"""Unevenness of the base that counts as noise, metres; at most 2 % of the height."""
 
 LEAST_FILLED = 1e-3
-"""A mesh that fills less of its hull has no inside that means anything."""
+"""A mesh that fills a smaller share of its hull has no meaningful inside."""
 
 SEAMS = 1e-3
-"""Share of edges that need not lie between two faces in a mesh that counts as closed."""
+"""Share of edges without two faces that a closed mesh may have."""
 
 TEXTURE_EDGE = 512
 """Textures are reduced to this edge length in pixels."""
 
 
 class MeshError(GeometryError):
-    """A mesh that cannot become an object: unreadable, not finite, without faces or without volume."""
+    """A mesh that cannot become an object: unreadable, not finite, no faces or no volume."""
 
 
 class MeshWarning(UserWarning):
-    """A mesh that was taken with something assumed: holes, hollows, or an implausible size."""
+    """An assumption about a mesh with holes, hollows or an implausible size."""
 
 
 def object_from_mesh(
@@ -61,32 +61,31 @@ def object_from_mesh(
 ) -> ObjectModel:
     """An object made of convex pieces with up to 64 vertices each.
 
-    A mesh that fills at least `FILLED` of its convex hull gives that hull, thinned out; any other closed mesh is cut
-    up by CoACD into pieces that hold it (see `regrasp_gym.objects.decompose`), so that a mug can be taken by its
-    handle. The first time that may take a minute. Centre of mass and inertia are those of the closed mesh filled with
-    uniform density. A mesh with holes has no inside: its hull is taken for everything. What was assumed is said in a
-    `MeshWarning`.
+    A mesh that fills at least `FILLED` of its convex hull becomes that hull, with fewer vertices. CoACD cuts any other
+    closed mesh into pieces that contain it (see `regrasp_gym.objects.decompose`), so that a mug can be grasped by its
+    handle; the first time may take a minute. Centre of mass and inertia are those of the closed mesh with uniform
+    density. A mesh with holes has no inside and is replaced by its hull. A `MeshWarning` states each assumption.
 
     Args:
-        source: file that trimesh reads (OBJ, STL, PLY, …), or vertices (N, 3) and faces (M, 3). z is up.
+        source: file in a format of trimesh (OBJ, STL, PLY, …), or vertices (N, 3) and faces (M, 3). z is up.
         mass: kilograms.
         density: kg/m³, instead of the mass.
         name, label: the file's name by default.
         scale: metres per unit of the mesh; 0.001 for millimetres.
-        rgba: colour, where the file has no texture.
+        rgba: colour if the file has no texture.
         friction: see `ObjectModel`.
-        max_pieces: most convex pieces; 1 takes the hull whatever the mesh is like.
+        max_pieces: most convex pieces; 1 always uses the hull.
 
     Raises:
         FileNotFoundError: no such file.
-        MeshError: unreadable, no faces, not finite, no volume, a mass, density or scale that is not positive, or both
-            or neither of mass and density.
+        MeshError: the mesh is unreadable, not finite, or has no faces or volume; mass, density or scale is not
+            positive; or mass and density are both given or both missing.
     """
     import trimesh
 
     name = name or (Path(source).stem if isinstance(source, str | Path) else "mesh")
     if (mass is None) == (density is None):
-        raise MeshError(f"mesh {name!r}: give either a mass (kg) or a density (kg/m³), not both and not neither")
+        raise MeshError(f"mesh {name!r}: give either a mass (kg) or a density (kg/m³)")
     for what, value in (("mass", mass), ("density", density), ("scale", scale)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise MeshError(f"mesh {name!r}: {what} {value} must be positive and finite")
@@ -110,11 +109,13 @@ def object_from_mesh(
     pieces = (hull,)
     if not _is_closed(shape) or filled < LEAST_FILLED:
         shape = solid_hull
-        _warn(f"mesh {name!r} is not closed: its convex hull is taken as a solid for contact, mass and inertia")
+        _warn(f"mesh {name!r} is not closed: its convex hull, as a solid, is used for contact, mass and inertia")
     elif filled < FILLED and max_pieces > 1:
         pieces = convex_pieces(np.asarray(shape.vertices), np.asarray(shape.faces), max_pieces=max_pieces)
     elif filled < 0.9:
-        _warn(f"mesh {name!r} is hollow or concave: {1 - filled:.0%} of its convex hull is filled up for contact")
+        _warn(
+            f"mesh {name!r} is hollow or concave: contacts treat the empty {1 - filled:.0%} of its convex hull as solid"
+        )
     center = np.asarray(shape.center_mass)
     mass = float(shape.volume) * density if density is not None else mass
     assert mass is not None, "either the mass is given or the density"
@@ -131,9 +132,9 @@ def object_from_mesh(
 
 
 def _on_a_flat_base(pieces: Sequence[Float[np.ndarray, "K 3"]]) -> list[Float[np.ndarray, "K 3"]]:
-    """The pieces with what is within `BASE` of the lowest point brought down to it.
+    """The pieces, with all points within `BASE` of the lowest one lowered to it.
 
-    Scans of flat bottoms are uneven by tenths of a millimetre, and what stands on three points rocks.
+    Scans of flat bottoms are uneven by tenths of a millimetre, and an object on three points rocks.
     """
     level = min(piece[:, 2].min() for piece in pieces)
     noise = min(BASE, 0.02 * (max(piece[:, 2].max() for piece in pieces) - level))
@@ -150,7 +151,7 @@ def _warn(message: str) -> None:
 
 
 def _is_closed(mesh: trimesh.Trimesh) -> bool:
-    """Whether the mesh has an inside: each edge between two faces, but for a few seams as real scans have them."""
+    """Whether the mesh has an inside: every edge has two faces, except for the few seams of real scans."""
     count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
     return bool(mesh.is_winding_consistent and (count != 2).mean() <= SEAMS)
 
@@ -164,7 +165,7 @@ def _loaded(source: str | Path | tuple[np.ndarray, np.ndarray], name: str) -> tr
         try:
             mesh = trimesh.load(source, force="mesh", process=False)
         except Exception as error:
-            # Each of trimesh's readers raises what it likes.
+            # trimesh's readers raise many types of exceptions.
             raise MeshError(f"mesh file {str(source)!r} cannot be read: {error}") from error
     else:
         vertices, faces = np.asarray(source[0], float), np.asarray(source[1])
@@ -189,7 +190,7 @@ def _hull(vertices: np.ndarray, faces: np.ndarray, name: str) -> Float[np.ndarra
 
 
 def _look(mesh: trimesh.Trimesh, scale: float, rgba: Rgba) -> Look:
-    """The mesh itself, with its texture if the file brings one."""
+    """The mesh itself, with its texture if there is one."""
     from PIL import Image
 
     texture, coords = None, getattr(mesh.visual, "uv", None)

@@ -1,4 +1,4 @@
-"""Objects to be manipulated: convex pieces, mass properties and looks, for the physics and for the planner alike."""
+"""Objects to be manipulated: convex pieces, mass properties and looks, shared by physics and planner."""
 
 from __future__ import annotations
 
@@ -12,26 +12,23 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from regrasp_gym.rendering.surfaces import Look, Rgba, add_look, faceted
+from regrasp_gym.rendering.surfaces import COLLISION_GROUP, Look, Rgba, add_look, faceted
 
 if TYPE_CHECKING:
     from regrasp_planner.task import Body
 
 MAX_HULL_VERTICES = 64
-"""Most vertices of one convex piece: with more, MuJoCo's contacts at rest keep jittering."""
-
-COLLISION_GROUP = 3
-"""Geom group of the shapes that touch."""
+"""Vertex limit of a convex piece: with more, MuJoCo's resting contacts jitter."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """How contacts of an object give way, as MuJoCo's geoms have it.
+    """Softness of an object's contacts, in terms of MuJoCo's geoms.
 
     Attributes:
         solref: time constant (seconds) and damping ratio.
-        solimp: impedance at no and at full overlap, and the overlap (metres) over which it rises.
-        solmix: weight of these figures against those of the other geom.
+        solimp: impedance without overlap and at full overlap, and the overlap (metres) over which it rises.
+        solmix: weight of these values against those of the other geom.
     """
 
     solref: tuple[float, float] = (0.006, 1.0)
@@ -43,20 +40,19 @@ class Contact:
 class ObjectModel:
     """A rigid object made of convex pieces.
 
-    The object frame has its origin at the centre of mass and z up when the object stands upright. The physics and the
-    planner use the very same pieces.
+    The frame has its origin at the centre of mass, and z points up when the object stands upright.
 
     Attributes:
         name: identifier, for example ``"004_sugar_box"``.
-        label: what people call it, for example ``"sugar box"``.
+        label: name in instructions, for example ``"sugar box"``.
         mass: kilograms.
         pieces: convex pieces, (N, 3) vertices each, N ≤ 64, metres, object frame.
         inertia: (3, 3) about the centre of mass in the object frame, kg·m².
-        shape: ``"box"`` if the one piece is a box aligned with the frame, else ``"mesh"``.
-        looks: surfaces to draw; where there are none the pieces themselves are drawn in ``rgba``.
-        rgba: colour of the pieces where no looks are given.
-        friction: sliding friction coefficient against everything but the gripper's pads, which bring their own.
-        contact: softness of its contacts in MuJoCo's terms.
+        shape: ``"box"`` for a single box aligned with the frame, else ``"mesh"``.
+        looks: visible surfaces; without any, the pieces are drawn in ``rgba``.
+        rgba: colour of the pieces if there are no looks.
+        friction: sliding friction coefficient; the gripper's pads override it with their own.
+        contact: softness of its contacts.
     """
 
     name: str
@@ -82,23 +78,8 @@ class ObjectModel:
         return float(self.size[2])
 
     @cached_property
-    def height_above_base(self) -> float:
-        """Height of the frame's origin above the surface that the upright object stands on, metres."""
-        return float(-min(piece[:, 2].min() for piece in self.pieces))
-
-    @cached_property
-    def grasp_width(self) -> float:
-        """Least width of the convex hull over all horizontal directions of the upright object, metres."""
-        points = np.concatenate(self.pieces)[:, :2]
-        corners = points[ConvexHull(points).vertices]
-        edges = np.roll(corners, -1, axis=0) - corners
-        normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
-        reach = corners @ normals.T
-        return float(np.ptp(reach, axis=0).min())
-
-    @cached_property
     def _body(self) -> Body:
-        # Imported here because it loads JAX, which the physics alone does not need.
+        # Imported here because it loads JAX, which the physics does not need.
         from regrasp_planner.geometry.support import ConvexBody
         from regrasp_planner.task import Body
 
@@ -106,7 +87,7 @@ class ObjectModel:
         return Body(self.name, pieces, np.zeros(3), self.mass)
 
     def body(self) -> Body:
-        """The object as the planner sees it, a `regrasp_planner.task.Body` (made once)."""
+        """The planner's body of this object, made once."""
         return self._body
 
     def add_to(
@@ -121,15 +102,14 @@ class ObjectModel:
         """Add the object to a MuJoCo specification.
 
         Args:
-            spec: the specification, changed in place. Meshes, textures and materials of an object that is already in
-                it are shared.
+            spec: the specification, changed in place. Two copies of an object share meshes, textures and materials.
             name: name of the body, the object's own name by default; the free joint is called ``{name}_joint``.
             pose: (7,) wxyz_xyz in the parent's frame, the identity by default.
-            free: whether it moves; otherwise it is fixed to its parent.
+            free: whether the body moves freely; otherwise it is fixed to its parent.
             parent: the world by default.
 
         Returns:
-            The new body. Its collision geoms ``{name}_c0`` … are in group 3, what is seen in group 2.
+            The new body. Its collision geoms ``{name}_c0`` … are in group 3, its visible geoms in group 2.
         """
         name = name or self.name
         pose = np.array([1.0, 0, 0, 0, 0, 0, 0]) if pose is None else np.asarray(pose, float)
@@ -188,11 +168,11 @@ def solid(
     friction: float = 0.6,
     contact: Contact = Contact(),
 ) -> ObjectModel:
-    """An object of uniform density: its frame is moved to the centre of mass of ``pieces``.
+    """An object of uniform density, with its frame moved to the centre of mass of ``pieces``.
 
     Args:
         name, label, mass, rgba, friction, contact, shape: see `ObjectModel`.
-        pieces: convex pieces, (N, 3) metres, z up, which must not overlap.
+        pieces: convex pieces that do not overlap, (N, 3) metres, z up.
         looks: surfaces in the same frame as ``pieces``.
     """
     volume, center, second = 0.0, np.zeros(3), np.zeros((3, 3))
@@ -217,7 +197,11 @@ def solid(
 
 
 def _moments(points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Volume, centroid and ∫xxᵀdV about the frame's origin of the hull of ``points``, summed over tetrahedra."""
+    """Volume, centroid and ∫xxᵀdV of the hull of ``points`` about the frame's origin, summed over tetrahedra.
+
+    Neither trimesh nor `regrasp_planner.geometry.hull.mass_properties` serves here: both round differently, and scenes
+    are equal to the last bit as long as this function rounds as it does.
+    """
     hull = ConvexHull(points)
     inside = points.mean(axis=0)
     corners = points[hull.simplices] - inside

@@ -1,4 +1,4 @@
-"""Stand-in of the YCB mug, the one shipped object that is hollow: a wall of ten pieces, a floor, and a handle of five.
+"""Stand-in for the YCB mug, the only hollow object: ten pieces of wall, a floor and five pieces of handle.
 
 Sizes in millimetres, from the google_16k scan: 93 across, 117 with the handle, 81 high; mass from the YCB sheet.
 """
@@ -18,7 +18,7 @@ _HALF_WIDTH = 6.5
 _GLAZE = (0.62, 0.09, 0.1, 1.0)
 _INSIDE = (0.93, 0.9, 0.86, 1.0)
 
-# Corners (x, z) of the handle's outline, inner and outer, from the upper end on the wall round to the lower one.
+# Corners (x, z) of the handle's inner and outer outline, from its upper to its lower end.
 _INNER_LINE = ((0.0, 58.0), (9.5, 58.0), (14.3, 53.0), (14.3, 31.0), (9.5, 26.0), (0.0, 26.0))
 _OUTER_LINE = ((0.0, 68.0), (15.3, 68.0), (24.5, 58.5), (24.5, 25.5), (15.3, 16.0), (0.0, 16.0))
 
@@ -48,7 +48,7 @@ def mug() -> ObjectModel:
 
 
 def _wall() -> list[Float[np.ndarray, "10 3"]]:
-    """Sectors of the wall: two flat facets outside, one inside. A facet's middle faces +x, where the handle begins."""
+    """Sectors of the wall: two flat facets outside, one inside. A facet is centred on +x, where the handle sits."""
     half = np.pi / (2 * _SECTORS)
     sectors: list[np.ndarray] = []
     for k in range(_SECTORS):

@@ -1,4 +1,4 @@
-"""Printed labels and skins of the stand-ins, drawn in code. No brands: the words say what is inside."""
+"""Printed labels and skins of the stand-ins, drawn in code. No brands: the words name the contents."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def panel(
     """One printed face.
 
     Args:
-        aspect: width over height of the face that it is stretched over.
+        aspect: width over height of the printed face.
         ground: background colour.
         bands: (top, bottom, colour) in shares of the height.
-        text: words, one line each, set as large as fits.
+        text: words, one per line, as large as fits.
         ink: colour of the words.
-        at: height of the middle of the words, share from the top.
-        disc: (height of its middle, radius, colour) of a round picture, shares of the height and of the shorter side.
+        at: height of the middle of the words, as a share from the top.
+        disc: (height of its middle, radius, colour) of a round picture, in shares of the height and the shorter side.
         lines: (top, bottom, colour) of small print.
         size: (width, height) in pixels.
     """
@@ -76,12 +76,12 @@ def atlas(front: Picture, side: Picture, top: Picture) -> Picture:
 
 
 def around(*faces: Picture) -> Picture:
-    """Faces side by side, to be wrapped around a wall."""
+    """Faces side by side, for a wall."""
     return np.concatenate(faces, axis=1)
 
 
 def rubiks_cube() -> Picture:
-    """Six faces of 3 × 3 stickers, a fixed shuffle."""
+    """Six faces of 3 × 3 stickers, shuffled the same way each time."""
     colours = np.array([[185, 20, 30], [10, 70, 170], [245, 245, 240], [240, 110, 20], [10, 140, 60], [250, 210, 30]])
     stickers = np.random.default_rng(77).permutation(np.repeat(np.arange(6), 9)).reshape(2, 3, 3, 3)
     picture = np.full((2 * TILE, 3 * TILE, 3), 18, np.uint8)
@@ -93,7 +93,7 @@ def rubiks_cube() -> Picture:
 
 
 def speckled(ground: Rgb, amount: float, seed: int, size: tuple[int, int] = (TILE, TILE)) -> Picture:
-    """A plain skin with grain of the given standard deviation (in units of 255)."""
+    """A plain skin with grain of standard deviation ``amount`` (in units of 255)."""
     grain = np.random.default_rng(seed).normal(0.0, 255 * amount, (size[1], size[0], 1))
     return np.clip(np.array(ground) + grain, 0, 255).astype(np.uint8)
 
@@ -112,8 +112,8 @@ def stitched(ground: Rgb, thread: Rgb, width: float, dashed: bool) -> Picture:
 
     Args:
         ground, thread: colours.
-        width: of the seam, radians.
-        dashed: whether the seam is made of stitches.
+        width: angular width of the seam, radians.
+        dashed: whether the seam consists of stitches.
     """
     t = np.linspace(0, 2 * np.pi, 145)[:-1]
     a, b = 0.75, 0.25
@@ -153,6 +153,6 @@ def _directions() -> Float[np.ndarray, "N 3"]:
 
 
 def _fitting(row: str, width: float, height: float) -> float:
-    """Font size at which ``row`` fills the width, but not more than the height."""
+    """Font size at which ``row`` fills the width without exceeding the height."""
     reference = ImageFont.load_default(size=32).getlength(row)
     return max(6.0, min(32 * width / reference, height))

@@ -1,7 +1,7 @@
-"""What runs CoACD in a process of its own: ``python run_coacd.py MESH PIECES OPTIONS``.
+"""Run CoACD in its own process: ``python run_coacd.py MESH PIECES OPTIONS``.
 
-MESH is an .npz file with ``vertices`` and ``faces``, PIECES the one to write, OPTIONS those of CoACD as JSON. Meshes
-that run through themselves may crash CoACD, and this process with it, but not the one that asked.
+MESH is an .npz file with ``vertices`` and ``faces``, PIECES the file to write, OPTIONS CoACD's options as JSON. A
+self-intersecting mesh can crash CoACD: it then takes down this process alone.
 """
 
 from __future__ import annotations

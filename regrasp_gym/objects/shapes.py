@@ -1,4 +1,4 @@
-"""Point sets of the convex shapes that the stand-ins are made of. Metres, z up, base at z = 0 where there is one."""
+"""Point sets of convex shapes. Any length unit, z up."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def stacked(sections: Sequence[tuple[float, float, float, float]], per_corner: i
 def ellipsoid(x: float, y: float, z: float, count: int = 44) -> Points:
     """Points spread evenly over an ellipsoid of full size x, y, z around the origin.
 
-    Scaled so that the hull has the ellipsoid's volume: the polyhedron is as often outside as inside of it.
+    Scaled so that the hull has the ellipsoid's volume.
     """
     k = np.arange(count) + 0.5
     polar = np.arccos(1 - 2 * k / count)
@@ -64,7 +64,7 @@ def ellipsoid(x: float, y: float, z: float, count: int = 44) -> Points:
 
 
 def flattened(points: Points, depth: float) -> Points:
-    """The hull of ``points`` with its lowest ``depth`` metres cut off, so that it stands on a flat base."""
+    """The hull of ``points`` without its lowest ``depth``, so that it stands on a flat base."""
     hull = ConvexHull(points)
     level = points[:, 2].min() + depth
     edges = {tuple(sorted((s[i], s[(i + 1) % 3]))) for s in hull.simplices for i in range(3)}
@@ -80,10 +80,10 @@ def flattened(points: Points, depth: float) -> Points:
 
 
 def along_x(points: Points) -> Points:
-    """Turned about y so that what was up points along +x."""
+    """Turned about y so that +z becomes +x."""
     return points @ np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
 
 
 def along_y(points: Points) -> Points:
-    """Turned about x so that what was up points along +y."""
+    """Turned about x so that +z becomes +y."""
     return points @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

@@ -1,4 +1,4 @@
-"""What stones look like: facets broken into small faces, rough and chipped at the edges, in muted colours."""
+"""Visible surfaces of stones: rough facets with chipped edges, in muted colours."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ TONES: dict[str, tuple[float, float, float]] = {
     "sandy": (0.81, 0.73, 0.60),
     "greenish": (0.55, 0.59, 0.51),
 }
-"""Colours by name. A stone's own colour varies about its tone's."""
+"""Colours by name; each stone's colour varies around its tone."""
 
 ROUGHNESS = 0.014
-"""How far the surface lies inside the polyhedron at most, edges aside, metres. It is never outside."""
+"""Greatest depth of the surface inside the polyhedron away from edges, metres. It is never outside."""
 
 _CHIP = 0.009
-"""How much farther inside it lies along the edges, metres."""
+"""Extra depth along the edges, metres."""
 
 _SEGMENTS = 3
-"""Pieces that an edge is broken into."""
+"""Segments per edge."""
 
 _GRAINS = 8
 _TEXELS = 160
@@ -40,7 +40,7 @@ def rough_stone(
     """The surface of a convex stone.
 
     Args:
-        rng: draws the roughness, the texture and how the colour differs from the tone's.
+        rng: draws the roughness, the texture and the deviation from the tone.
         triangles: (T, 3, 3) start and end of each edge of each facet, counter-clockwise from outside, and the facet's
             middle, about the origin, metres.
         normals: (T, 3) unit outward normals of the facets.
@@ -60,7 +60,7 @@ def rough_stone(
     on_edge = grid[:, 2] == 0
     depth = depth + _CHIP * on_edge
     radial = points / np.linalg.norm(points, axis=2, keepdims=True)
-    # The gradient is exaggerated: light shows the roughness that the few faces leave out.
+    # The gradient is exaggerated to shade the roughness that the few faces cannot show.
     tilt = gradient - np.einsum("tpx,tpx->tp", gradient, outward)[..., None] * outward
     turned = outward + 2.6 * tilt
     turned = np.where(on_edge[:, None], turned + 0.55 * radial, turned)
@@ -81,7 +81,7 @@ def rough_stone(
 
 
 def _flat_coordinates(points: np.ndarray, normals: np.ndarray, angle: float) -> Float[np.ndarray, "T P 2"]:
-    """Where points lie along two axes of their facet, both turned by ``angle``, as shares of the texture."""
+    """Texture coordinates of points along two axes of their facet, both turned by ``angle``."""
     x, y, z = normals.T
     none = np.zeros_like(x)
     across = np.where(np.abs(z[:, None]) < 0.9, np.column_stack([-y, x, none]), np.column_stack([none, -z, y]))
@@ -112,7 +112,7 @@ def _broken_triangle(segments: int) -> tuple[Float[np.ndarray, "P 3"], np.ndarra
 
 @lru_cache(maxsize=_GRAINS)
 def _grain(number: int) -> UInt8[np.ndarray, "H W 3"]:
-    """A pale mineral texture, to be multiplied with a colour: blotches, speckles and a few dark veins."""
+    """A pale mineral texture with blotches, speckles and dark veins, to be multiplied by a colour."""
     rng = np.random.default_rng([number, 0x6EA1])
     blotches = cloud(rng, _TEXELS, 1.7)
     veins = np.abs(cloud(rng, _TEXELS, 1.9))
@@ -124,7 +124,7 @@ def _grain(number: int) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def cloud(rng: np.random.Generator, size: int, fall: float) -> Float[np.ndarray, "size size"]:
-    """Seamless noise with an amplitude that falls as frequency to the power −``fall``; mean 0, deviation 1."""
+    """Seamless noise with amplitude ∝ frequency^−``fall``, mean 0 and standard deviation 1."""
     frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size) * size, np.fft.fftfreq(size) * size))
     frequency[0, 0] = 1.0
     spectrum = np.fft.fft2(rng.normal(size=(size, size))) / frequency**fall

@@ -26,27 +26,27 @@ VERTEX_RANGE = (12, 60)
 """Least and most corners of a stone."""
 
 HARD = Contact(solref=(0.004, 1.0), solimp=(0.98, 0.995, 0.001), solmix=20.0)
-"""Stiff enough that a stone of a ton does not tremble where it rests."""
+"""Stiff enough that a resting stone of one tonne does not tremble."""
 
 FRICTION = 0.7
 """Sliding friction of stone on stone; dry rock joints have 0.6 to 0.85 (Byerlee, Pure Appl. Geophys. 1978)."""
 
 _SMALLEST_FACET = 0.012
-"""Share of the surface below which a facet is left out: nothing rests on it, and its edges would be short."""
+"""Facets with a smaller share of the surface are left out: nothing rests on them, and their edges would be short."""
 
 _TRIES = 200
 
 
 @dataclass(frozen=True)
 class StoneConfig:
-    """What stones are like. Lengths in metres, masses in kilograms, ranges inclusive.
+    """Limits of random stones. Lengths in metres, masses in kilograms, ranges inclusive.
 
     Attributes:
-        kinds: shapes to draw from, of `KINDS`, all equally often.
-        mass: least and greatest; drawn evenly between, then the stone is scaled to it.
+        kinds: shapes to draw from, a subset of `KINDS`, all equally likely.
+        mass: least and greatest; drawn uniformly, then the stone is scaled to it.
         density: kg/m³.
-        least_width: least and greatest distance of the two nearest parallel planes that hold the stone.
-        largest_extent: greatest distance of two of its corners.
+        least_width: range of the least distance between two parallel planes that enclose the stone.
+        largest_extent: greatest distance between two corners.
     """
 
     kinds: tuple[str, ...] = KINDS
@@ -62,12 +62,12 @@ class StoneConfig:
 
 
 def stone(seed: int, config: StoneConfig | None = None, name: str = "stone", tone: str | None = None) -> ObjectModel:
-    """The stone of a seed: `bare_stone`, `dressed`. The arguments are those of `bare_stone`."""
+    """The stone of a seed with its look. The arguments are those of `bare_stone`."""
     return dressed(bare_stone(seed, config, name, tone), seed)
 
 
 def dressed(bare: ObjectModel, seed: int) -> ObjectModel:
-    """The bare stone of a seed with the look of that seed."""
+    """``bare``, the stone of a seed, with the look of the same seed."""
     facets = find_facets(bare.pieces[0])
     look_rng = _look_rng(seed)
     look_rng.choice(list(TONES))
@@ -78,19 +78,19 @@ def dressed(bare: ObjectModel, seed: int) -> ObjectModel:
 def bare_stone(
     seed: int, config: StoneConfig | None = None, name: str = "stone", tone: str | None = None
 ) -> ObjectModel:
-    """Shape and mass of the stone of a seed, without its look, which takes as long as all the rest.
+    """Shape and mass of the stone of a seed, without its look, which would take half the time.
 
     Args:
         seed: a non-negative integer. The shape depends on it and on ``config`` alone.
         config: the default one if None.
         name: name of the object.
-        tone: colour, one of `regrasp_gym.objects.stone_looks.TONES`, drawn if None; its label is ``f"{tone} stone"``.
+        tone: colour, a key of `regrasp_gym.objects.stone_looks.TONES`, drawn if None. The label is ``f"{tone} stone"``.
 
     Returns:
         An object of one convex piece with 12 to 60 corners, origin at the centre of mass.
 
     Raises:
-        SceneError: negative seed, unknown tone, or no stone within the limits of ``config`` was found.
+        SceneError: negative seed, unknown tone, or no stone found within the limits of ``config``.
     """
     config = config or StoneConfig()
     check_seed(seed, "stone")
@@ -108,8 +108,8 @@ def bare_stone(
             break
     else:
         raise SceneError(
-            f"no stone of seed {seed} with mass {config.mass} kg has its least width in {config.least_width} m and a "
-            f"largest extent of at most {config.largest_extent} m; widen these"
+            f"no stone of seed {seed} with mass {config.mass} kg has a least width within {config.least_width} m and a "
+            f"largest extent of at most {config.largest_extent} m; widen these limits"
         )
     return solid(name, f"{tone} stone", mass, [corners], friction=FRICTION, contact=HARD)
 
@@ -132,8 +132,8 @@ def _planes(rng: np.random.Generator, kind: str) -> Float[np.ndarray, "F 4"]:
     if kind == "boulder":
         axes = np.array([1.0, rng.uniform(0.72, 1.0), rng.uniform(0.58, 0.9)])
         normals = _spread(rng, int(rng.integers(15, 27)), 0.25)
-        reach = _support(normals, axes, rng.uniform(2.0, 3.2)) * rng.uniform(0.93, 1.0, len(normals))
-        return np.column_stack([normals, -reach])
+        distance = _support(normals, axes, rng.uniform(2.0, 3.2)) * rng.uniform(0.93, 1.0, len(normals))
+        return np.column_stack([normals, -distance])
     flat = {"slab": (0.36, 0.55), "block": (0.6, 0.95), "wedge": (0.55, 0.85)}[kind]
     axes = np.array([1.0, rng.uniform(0.62, 0.98), rng.uniform(*flat)])
     jitter = np.tile([0.12, 0.12, 0.05], 2)[:, None]
@@ -143,7 +143,7 @@ def _planes(rng: np.random.Generator, kind: str) -> Float[np.ndarray, "F 4"]:
         sides[2, :2] += lean * np.array([np.cos(turn), np.sin(turn)])
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     distance = np.abs(sides * axes).max(axis=1)
-    # What breaks off is edges and corners: planes at a slant to the sides, a little inside the box's corners.
+    # Edges and corners break off: planes at a slant to the sides, a little inside the box's corners.
     chips = _spread(rng, int(rng.integers(7, 15)), 0.5)
     chips = chips[np.abs(chips).max(axis=1) < 0.93]
     cut = _support(chips, axes, np.inf) * rng.uniform(0.7, 0.93, len(chips))

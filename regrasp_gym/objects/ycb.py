@@ -1,8 +1,8 @@
-"""Stand-ins for objects of the YCB set: their sizes and masses, simple shapes, no downloads.
+"""Stand-ins for YCB objects: published sizes and masses, simple shapes, no downloads.
 
 Sizes are those of the published sheet or of the google_16k scans, masses those of the sheet: Calli, Walsman, Singh,
 Srinivasa, Abbeel, Dollar, "Benchmarking in Manipulation Research", IEEE RAM 2015, doi 10.1109/MRA.2015.2448951.
-Shapes are written down in millimetres.
+Shapes are given in millimetres.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _box(name: str, label: str, mass: float, size: tuple[float, float, float], t
     return solid(name, label, mass, [shapes.box(*full)], shape="box", looks=[textured_box(full, texture)])
 
 
-def _made(
+def _object(
     name: str, label: str, mass: float, pieces: Sequence[Float[np.ndarray, "N 3"]], looks: Sequence[Look]
 ) -> ObjectModel:
     return solid(name, label, mass, [p * _MM for p in pieces], looks=[look.stretched(_MM) for look in looks])
@@ -48,7 +48,7 @@ def _round(
     start = np.arcsin(max(level, -0.999))
     profile = [(0.0, np.sin(start)), *((np.cos(a), np.sin(a)) for a in np.linspace(start, np.pi / 2, 22))]
     ball = replace(revolve(profile, 36), texture=skin)
-    return _made(name, label, mass, pieces, [ball.stretched(np.array(size) / 2), *extra])
+    return _object(name, label, mass, pieces, [ball.stretched(np.array(size) / 2), *extra])
 
 
 def _can() -> ObjectModel:
@@ -64,7 +64,7 @@ def _can() -> ObjectModel:
     tin = revolve([(0, 0), (33.8, 0), (33.8, 3), (33.8, 3)], smooth=False)
     lid = revolve([(33.8, 99), (33.8, 102), (31.5, 102), (31.5, 100.5), (0, 100.5)], smooth=False)
     metal = joined([tin, lid]).painted(_TIN, 0.8, 0.8)
-    return _made(
+    return _object(
         "005_tomato_soup_can", "tomato soup can", 0.349, [shapes.lathe([(33.8, 0), (33.8, 102)], 24)], [side, metal]
     )
 
@@ -89,7 +89,7 @@ def _mustard() -> ObjectModel:
         (0.85, 0.12, 0.1, 1.0), 0.4, 0.5
     )
     pieces = [shapes.stacked(body, 4), shapes.lathe(neck, 12)]
-    return _made("006_mustard_bottle", "mustard bottle", 0.603, pieces, [shell, label, cap])
+    return _object("006_mustard_bottle", "mustard bottle", 0.603, pieces, [shell, label, cap])
 
 
 def _bleach() -> ObjectModel:
@@ -108,7 +108,7 @@ def _bleach() -> ObjectModel:
     label = _label((102.2, 68.0, 27), 28, 142, face, (242, 242, 245))
     cap = revolve([(20, 212), (20, 240), (19, 251), (0, 251)], smooth=False).painted((0.12, 0.3, 0.68, 1.0), 0.4, 0.5)
     pieces = [shapes.stacked(body), shapes.lathe([(20, 212), (19, 251)], 12)]
-    return _made("021_bleach_cleanser", "bleach cleanser", 1.131, pieces, [shell, label, cap])
+    return _object("021_bleach_cleanser", "bleach cleanser", 1.131, pieces, [shell, label, cap])
 
 
 def _meat_can() -> ObjectModel:
@@ -125,7 +125,7 @@ def _meat_can() -> ObjectModel:
     side = _label(section, 2, 82, front, (25, 45, 125))
     rim = [wall(shapes.rounded_rectangle(*section, 9), *span) for span in ((0, 2), (82, 84))]
     metal = joined([faceted(pieces[0] * [0.995, 0.995, 1.0]), *rim]).painted(_TIN, 0.8, 0.8)
-    return _made("010_potted_meat_can", "potted meat can", 0.370, pieces, [side, metal])
+    return _object("010_potted_meat_can", "potted meat can", 0.370, pieces, [side, metal])
 
 
 def _banana() -> ObjectModel:
@@ -150,7 +150,7 @@ def _banana() -> ObjectModel:
     tip = sweep(path(np.array([-1.012, -1.0, -0.96])), np.array([[2.0, 2.0], [6.1, 6.1], [8.6, 8.6]]), _Z, sides=12)
     brown = joined([stem, tip]).painted((0.32, 0.24, 0.1, 1.0), 0.1, 0.1)
     pieces = [np.concatenate(rings[i : i + 2]) for i in range(4)]
-    return _made("011_banana", "banana", 0.066, pieces, [peel.painted((0.96, 0.82, 0.16, 1.0), 0.2, 0.3), brown])
+    return _object("011_banana", "banana", 0.066, pieces, [peel.painted((0.96, 0.82, 0.16, 1.0), 0.2, 0.3), brown])
 
 
 def _strawberry() -> ObjectModel:
@@ -162,7 +162,7 @@ def _strawberry() -> ObjectModel:
     leaf = revolve([(20, 41.5), (13, 45.4), (3, 46), (2, 47), (0, 47)], 7, smooth=False).painted(
         (0.2, 0.5, 0.15, 1.0), 0.1, 0.2
     )
-    return _made("012_strawberry", "strawberry", 0.018, pieces, [flesh, leaf])
+    return _object("012_strawberry", "strawberry", 0.018, pieces, [flesh, leaf])
 
 
 def _pear() -> ObjectModel:
@@ -185,7 +185,7 @@ def _pear() -> ObjectModel:
         30,
         texture=skin,
     )
-    return _made("016_pear", "pear", 0.049, pieces, [flesh, _stem(94, 104)])
+    return _object("016_pear", "pear", 0.049, pieces, [flesh, _stem(94, 104)])
 
 
 def _marker() -> ObjectModel:
@@ -194,7 +194,7 @@ def _marker() -> ObjectModel:
     band = revolve([(9.6, 46), (9.6, 108)])
     black = body.rotated(_TURN_Y).painted((0.07, 0.07, 0.08, 1.0), 0.5, 0.6)
     white = band.rotated(_TURN_Y).painted((0.93, 0.93, 0.93, 1.0), 0.4, 0.5)
-    return _made("040_large_marker", "large marker", 0.0158, pieces, [black, white])
+    return _object("040_large_marker", "large marker", 0.0158, pieces, [black, white])
 
 
 def _screwdriver() -> ObjectModel:
@@ -208,7 +208,7 @@ def _screwdriver() -> ObjectModel:
     )
     core = faceted(shapes.lathe(handle, 8)).rotated(_TURN_X).painted((0.85, 0.2, 0.08, 1.0), 0.6, 0.7)
     steel = revolve([(3.5, 104), (3.5, 208), (1, 215), (0, 215)], 16).rotated(_TURN_X).painted(_TIN, 0.9, 0.9)
-    return _made("043_phillips_screwdriver", "phillips screwdriver", 0.097, pieces, [core, grip, steel])
+    return _object("043_phillips_screwdriver", "phillips screwdriver", 0.097, pieces, [core, grip, steel])
 
 
 def _cup() -> ObjectModel:
@@ -225,7 +225,7 @@ def _cup() -> ObjectModel:
         (0, 62),
     ]
     shell = revolve(profile, smooth=False).painted((0.95, 0.42, 0.08, 1.0), 0.5, 0.6)
-    return _made("065-a_cups", "orange cup", 0.013, [shapes.lathe([(28.5, 0), (22.5, 62)], 24)], [shell])
+    return _object("065-a_cups", "orange cup", 0.013, [shapes.lathe([(28.5, 0), (22.5, 62)], 24)], [shell])
 
 
 def _bottle(sections: Sequence[tuple[float, float, float, float]], heights: np.ndarray) -> Look:

@@ -1,1 +1,1 @@
-"""What a scene looks like, and pictures of it."""
+"""Looks of a scene, and pictures of it."""

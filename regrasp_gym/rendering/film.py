@@ -1,4 +1,4 @@
-"""Films: pictures in sequence, as an MP4 file."""
+"""Films of pictures, as MP4 files."""
 
 from __future__ import annotations
 
@@ -10,26 +10,21 @@ import imageio.v2 as imageio
 import numpy as np
 from jaxtyping import UInt8
 
+from regrasp_gym.reports.files import replacing
+
 
 def write_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: int) -> None:
-    """Write pictures as a film (H.264), whole or not at all.
-
-    The film grows beside ``path`` and is renamed at the end: an error midway leaves an older film as it was.
+    """Write pictures as an H.264 film, whole or not at all.
 
     Args:
-        path: .mp4 file to write; its folder is made.
+        path: .mp4 file to write; its folder is made. After an error an older film is unchanged.
         pictures: at least one, all of one size; each is encoded as it comes.
         fps: pictures per second.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.stem}.unfinished{path.suffix}")
-    try:
+    with replacing(path) as unfinished:
         # H.264 stores colour for blocks of 2×2 pixels: odd sizes are scaled to even ones.
         writer = imageio.get_writer(unfinished, fps=fps, codec="libx264", macro_block_size=2)
-        # Used as a context manager itself, a writer stays open after an error.
+        # As a context manager a writer stays open after an error.
         with closing(writer):
             for picture in pictures:
                 writer.append_data(picture)  # type: ignore[attr-defined]
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)

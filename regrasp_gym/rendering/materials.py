@@ -1,4 +1,4 @@
-"""What fixtures look like: materials, and the textures they are made of."""
+"""Materials of fixtures and their textures."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from jaxtyping import UInt8
 
 @dataclass(frozen=True)
 class Material:
-    """What a fixture looks like.
+    """The look of a fixture.
 
     Attributes:
-        texture: makes the (H, W, 3) picture; None for an even surface.
-        repeat: repetitions per metre.
+        texture: function that draws the (H, W, 3) picture; None for an even surface.
+        repeat: repetitions of the texture per metre.
         rgba: colour, multiplied with the texture.
         specular, shininess: in [0, 1].
     """
@@ -63,13 +63,13 @@ def ground(
     pebbles: int,
     size: int = 256,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """Soil or gravel, seamless: patches, clods and pebbles, each pebble lit from one side.
+    """Seamless soil or gravel of patches, clods and pebbles, each pebble lit from one side.
 
     Args:
-        rng: draws all of it.
-        colour: of the soil.
-        clods: contrast of patches and clods, in units of 255.
-        pebbles: how many of them.
+        rng: random numbers of the texture.
+        colour: colour of the soil.
+        clods: contrast of patches and clods, of 255.
+        pebbles: number of pebbles.
         size: edge length, pixels.
     """
     frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(size) * size] * 2))
@@ -81,10 +81,10 @@ def ground(
     for _ in range(pebbles):
         middle, radius = rng.uniform(0, size, 2), size * rng.uniform(0.004, 0.012)
         tone, squeeze, angle = rng.normal(3, 10), rng.uniform(0.6, 1.0), rng.uniform(0, np.pi)
-        reach = int(radius / squeeze) + 2
-        # A pebble that sticks out on one side goes on at the other.
-        rows = (np.arange(int(middle[0]) - reach, int(middle[0]) + reach + 1)) % size
-        columns = (np.arange(int(middle[1]) - reach, int(middle[1]) + reach + 1)) % size
+        extent = int(radius / squeeze) + 2
+        # A pebble across one edge continues at the opposite edge.
+        rows = (np.arange(int(middle[0]) - extent, int(middle[0]) + extent + 1)) % size
+        columns = (np.arange(int(middle[1]) - extent, int(middle[1]) + extent + 1)) % size
         window = np.ix_(rows, columns)
         y = (v[window] - middle[0] + size / 2) % size - size / 2
         x = (u[window] - middle[1] + size / 2) % size - size / 2
@@ -103,4 +103,4 @@ MATERIALS: dict[str, Material] = {
     "gravel": Material(lambda rng: ground(rng, (150, 146, 138), 6.0, 1500), 0.4, specular=0.0, shininess=0.0),
     "plain": Material(lambda rng: ground(rng, (150, 148, 128), 4.0, 0), 0.06, specular=0.0, shininess=0.0),
 }
-"""What fixtures may be made of."""
+"""Materials of fixtures by name."""

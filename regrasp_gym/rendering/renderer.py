@@ -1,7 +1,7 @@
-"""Light, floor, materials and cameras of a scene, and pictures of it.
+"""Off-screen pictures of scenes.
 
-Every episode has a model of its own. A `SceneRenderer` keeps one OpenGL context for all of them and only uploads the
-model anew when it changes.
+Every episode has its own model. A `SceneRenderer` keeps one OpenGL context for all of them and uploads a model only
+when it changes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from regrasp_gym.errors import DisplayError
 from regrasp_gym.rendering.setting import GOAL_GROUP
 
 _LEFT_OPEN: list[tuple[Any, mujoco.MjrContext | None]] = []
-"""What renderers that were dropped without `SceneRenderer.close` have left; the next picture frees it."""
+"""Contexts of renderers dropped without `SceneRenderer.close`; the next picture frees them."""
 
 
 def _free(gl: Any, context: mujoco.MjrContext | None) -> None:
@@ -33,7 +33,7 @@ class SceneRenderer:
     """Pictures of one model after another, with one OpenGL context.
 
     Args:
-        width, height: largest picture that will be asked for, pixels.
+        width, height: size of the largest picture, pixels.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -58,14 +58,14 @@ class SceneRenderer:
         """A picture from a named camera, rows from top to bottom.
 
         Args:
-            model, data: what to draw, with body poses up to date.
-            camera: its name.
-            width, height: of the picture, pixels.
-            show_goal: whether geoms of group `GOAL_GROUP` are seen.
+            model, data: the simulation, with body poses up to date.
+            camera: name of the camera.
+            width, height: size of the picture, pixels.
+            show_goal: whether to show geoms of group `GOAL_GROUP`.
 
         Raises:
-            DisplayError: no OpenGL here.
-            KeyError: there is no such camera; the message lists those there are.
+            DisplayError: OpenGL is not available.
+            KeyError: unknown camera; the message lists the known ones.
         """
         while _LEFT_OPEN:
             _free(*_LEFT_OPEN.pop())
@@ -87,13 +87,13 @@ class SceneRenderer:
         return np.ascontiguousarray(picture[::-1])
 
     def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing) -> None:
-        # Left to itself MuJoCo frees the memory in whichever context is current, which may be another one's; and the
-        # collector runs at any time, even while another one draws.
+        # MuJoCo would free the memory in the current context, which may be another renderer's. The garbage collector
+        # runs at any time, even while another renderer draws.
         if self._gl is not None and not is_finalizing():
             _LEFT_OPEN.append((self._gl, self._context))
 
     def close(self) -> None:
-        """Free everything. Rendering again opens it again."""
+        """Free the context; the next picture opens a new one."""
         if self._gl is not None:
             _free(self._gl, self._context)
             self._gl = self._context = self._scene = self._model = None
@@ -109,7 +109,7 @@ class SceneRenderer:
 
 
 def halved(picture: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H2 W2 3"]:
-    """A picture of half the width and height, each pixel the mean of four: smooth edges for pictures to look at."""
+    """The picture at half its width and height, each pixel the mean of four, which smooths edges."""
     h, w = picture.shape[:2]
     return picture.reshape(h // 2, 2, w // 2, 2, 3).mean(axis=(1, 3)).astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""Where a scene is: light, sky, floor and cameras."""
+"""Surroundings of a scene: light, sky, floor and cameras."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from jaxtyping import Float
 from regrasp_gym.rendering.materials import MATERIALS
 
 SHADOW_SIZE = 512
-"""Edge of the shadow map in pixels. With MuJoCo's 4096 a software-rendered frame takes many times as long."""
-
+"""Edge of the shadow map, pixels. With MuJoCo's 4096 a software-rendered frame takes many times as long."""
 
 GOAL_GROUP = 5
-"""Geoms of this group show the goal. They are in pictures for people, never in observations."""
-
+"""Group of geoms that show the goal. They are in pictures for people, never in observations."""
 
 GOAL_RGBA = (0.25, 0.85, 0.4, 0.35)
 
@@ -27,9 +25,9 @@ class Camera:
     """A camera fixed in the world.
 
     Attributes:
-        name: by which it is asked for.
-        position: metres, world.
-        target: the point it looks at, metres, world.
+        name: name of the camera.
+        position: position, metres, world.
+        target: point in the middle of the picture, metres, world.
         fovy: vertical field of view, degrees.
     """
 
@@ -39,7 +37,7 @@ class Camera:
     fovy: float = 45.0
 
     def axes(self) -> Float[np.ndarray, " 6"]:
-        """Its x axis (right) and y axis (up) in the world."""
+        """(6,) x axis (right) and y axis (up), world."""
         forward = np.subtract(self.target, self.position)
         right = np.cross(forward, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
@@ -49,18 +47,18 @@ class Camera:
 
 @dataclass(frozen=True)
 class Setting:
-    """Where a scene is: how large it is, and what it is lit and surrounded by.
+    """Size, light and surroundings of a scene.
 
     Attributes:
-        extent: size of the scene in units of the Panda's table, which light, shadows, floor and clipping go by; metres.
-        center: middle of what is seen, metres, world.
-        lamp: position of the lamp at ``extent`` 1, multiplied with it.
-        light: direction in which the lamp shines.
+        extent: size of the scene, metres; 1 for the Panda's table. Scales light, shadows, floor and clipping.
+        center: centre of the scene, metres, world.
+        lamp: position of the lamp in units of ``extent``.
+        light: direction of the lamp's light.
         diffuse: colour of the lamp.
         shadow_size: edge of the shadow map, pixels.
         sky: colours of the sky at the zenith and at the nadir.
         floor: material of the floor.
-        materials: those that are at hand for fixtures, keys of `MATERIALS`.
+        materials: materials available to fixtures, keys of `MATERIALS`.
     """
 
     extent: float = 1.0
@@ -77,7 +75,6 @@ class Setting:
 TABLE_TOP = Setting()
 """A table in a room."""
 
-
 SITE = Setting(
     extent=10.0,
     center=(4.0, 0.0, 0.5),
@@ -89,7 +86,7 @@ SITE = Setting(
     floor="plain",
     materials=("earth", "gravel", "plain"),
 )
-"""A building site of some 20 m in the open."""
+"""An outdoor building site of about 20 m."""
 
 
 def add_visuals(
@@ -99,9 +96,9 @@ def add_visuals(
 
     Args:
         spec: the specification.
-        cameras: fixed in the world.
-        floor_height: metres. Nothing may lie at exactly this height, or it flickers.
-        setting: surroundings, and the scale of the whole.
+        cameras: cameras fixed in the world.
+        floor_height: height of the floor, metres. Surfaces at exactly this height flicker.
+        setting: size, light and surroundings.
     """
     size = setting.extent
     visual = spec.visual
@@ -110,7 +107,7 @@ def add_visuals(
     visual.headlight.specular = [0.05, 0.05, 0.05]
     visual.quality.shadowsize = setting.shadow_size
     visual.quality.offsamples = 0
-    # Clipping planes in units of the extent, which is set so that they do not change with the objects.
+    # Clipping planes are in units of the extent. It is set here so that they do not change with the objects.
     spec.stat.extent = size
     spec.stat.center = setting.center
     visual.map.znear = 0.02
@@ -150,7 +147,7 @@ def add_visuals(
             texture.height, texture.width = picture.shape[:2]
             texture.data = picture.tobytes()
             made.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    # Finite and in one piece: MuJoCo draws an infinite floor in thousands of quads, which doubles a frame's cost.
+    # Finite and in one piece: MuJoCo draws an infinite floor as thousands of quads, which doubles the cost of a frame.
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

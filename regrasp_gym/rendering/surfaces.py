@@ -1,4 +1,4 @@
-"""Surfaces that are seen and never touched: how they are made and how they get into a MuJoCo model."""
+"""Visual surfaces without collisions: shapes, and adding them to a MuJoCo model."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial import ConvexHull
 
+COLLISION_GROUP = 3
+"""Geom group of the shapes that touch."""
+
 VISUAL_GROUP = 2
-"""Geom group of everything that is there to be seen."""
+"""Geom group of all visual surfaces."""
 
 _MATERIAL_COLOUR = (0.5, 0.5, 0.5, 1.0)
-"""MuJoCo's default geom colour, with which the material's colour counts, whatever a default class says."""
+"""MuJoCo's default geom colour: with it the material's colour applies, whatever a default class says."""
 
 Rgba = tuple[float, float, float, float]
 
@@ -63,7 +66,7 @@ class Look:
 
 
 def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, look: Look, geom_name: str | None = None) -> None:
-    """Draw ``look`` on ``body``. The mesh, texture and material called ``name`` are shared if ``spec`` has them."""
+    """Add ``look`` to ``body``. Reuses the mesh, texture and material ``name`` if ``spec`` has them."""
     if spec.mesh(name) is None:
         mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         mesh.uservert = look.vertices.ravel()
@@ -90,7 +93,7 @@ def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, look: Look, g
 
 
 def joined(looks: Sequence[Look]) -> Look:
-    """One surface out of several without textures, in the colour of the first."""
+    """Several surfaces in one, without textures, in the colour of the first."""
     offsets = np.cumsum([0, *(len(look.vertices) for look in looks[:-1])])
     return replace(
         looks[0],
@@ -131,9 +134,9 @@ def sweep(
     Args:
         path: (k, 3) centres of the sections, metres.
         half_sizes: (k, 2) half sizes of the sections along ``side`` and across it, metres.
-        side: a direction that is nowhere along the path; the first axis of the sections is ``side`` made perpendicular.
-        squareness: exponent of the superellipse: 2 for an ellipse, larger towards a rounded rectangle.
-        sides: corners of a section.
+        side: a direction nowhere parallel to the path; made perpendicular to it, the first axis of the sections.
+        squareness: exponent of the superellipse: 2 for an ellipse, larger for a rounded rectangle.
+        sides: number of corners of a section.
         ends: whether the first and the last end are closed.
     """
     path, half_sizes = np.asarray(path, float), np.asarray(half_sizes, float)
@@ -166,8 +169,8 @@ def revolve(
 
     Args:
         profile: (radius, height) from bottom to top, metres.
-        sides: facets around.
-        smooth: whether the shading is smooth along the profile, or creased at its corners.
+        sides: number of facets around.
+        smooth: whether shading is smooth along the profile, instead of creased at its corners.
         texture: wrapped once around, its lower edge at the start of the profile, or None.
     """
     points = np.asarray(profile, float)
@@ -194,7 +197,7 @@ def grid_surface(points: Float[np.ndarray, "k s 3"], *, wrap: bool, seam: bool =
     Args:
         points: (k, s, 3) rings, counter-clockwise seen against the direction from the first ring to the last.
         wrap: whether the last point of a ring joins the first.
-        seam: the last point of a ring lies on the first (for texture coordinates); their normals are made equal.
+        seam: whether the last point of a ring lies on the first (for texture coordinates), with the same normal.
     """
     k, s = points.shape[:2]
     columns = s if wrap else s - 1
@@ -210,7 +213,7 @@ def grid_surface(points: Float[np.ndarray, "k s 3"], *, wrap: bool, seam: bool =
     if seam:
         rings = normals.reshape(k, s, 3)
         rings[:, 0] = rings[:, -1] = rings[:, 0] + rings[:, -1]
-    # Points that coincide (the pole of a surface of revolution) share the sum of their normals.
+    # Coincident points (the pole of a surface of revolution) share the sum of their normals.
     for ring in (0, k - 1):
         if np.ptp(points[ring], axis=0).max() < 1e-9:
             rings = normals.reshape(k, s, 3)
@@ -221,7 +224,7 @@ def grid_surface(points: Float[np.ndarray, "k s 3"], *, wrap: bool, seam: bool =
 
 
 def textured_box(size: Float[np.ndarray, " 3"], texture: UInt8[np.ndarray, "H W 3"]) -> Look:
-    """A box of full ``size`` (3,) metres about the origin, with one texture tile per face.
+    """A box of ``size`` (3,) about the origin, full edge lengths in metres, with one texture tile per face.
 
     The texture is an atlas of two rows and three columns: +x, +y, +z above −x, −y, −z. Tiles stand upright on the four
     vertical faces; seen from above, the tile of the top face has its upper edge towards +y.
@@ -250,12 +253,12 @@ def textured_box(size: Float[np.ndarray, " 3"], texture: UInt8[np.ndarray, "H W 
 def wall(
     outline: Float[np.ndarray, "M 2"], low: float, high: float, texture: UInt8[np.ndarray, "H W 3"] | None = None
 ) -> Look:
-    """A vertical wall on a convex outline, smooth around, with u once around from the outline's first point.
+    """A smooth vertical wall on a convex outline, with u going once around from the first point.
 
     Args:
         outline: (M, 2) counter-clockwise, metres.
-        low, high: heights of its lower and upper edge, metres.
-        texture: wrapped around it, or None.
+        low, high: heights of the lower and upper edge, metres.
+        texture: image wrapped around the wall, or None.
     """
     closed = np.vstack([outline, outline[:1]])
     around = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])

@@ -14,19 +14,19 @@ from regrasp_gym.errors import DisplayError
 
 
 class Window:
-    """An interactive window that shows the simulation in real time, MuJoCo's passive viewer.
+    """An interactive window on the simulation in real time, MuJoCo's passive viewer.
 
     Args:
         period: least time between two states shown, seconds.
 
     Raises:
-        DisplayError: there is no display.
+        DisplayError: no display.
     """
 
     def __init__(self, period: float) -> None:
         if not has_display():
             raise DisplayError(
-                "render_mode='human' needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set; "
+                "render_mode='human' needs a display, but neither DISPLAY nor WAYLAND_DISPLAY is set; "
                 "use render_mode='rgb_array'"
             )
         self._period = period
@@ -36,7 +36,7 @@ class Window:
         self._model: mujoco.MjModel | None = None
 
     def show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Draw the current state; a new model gets a new window."""
+        """Show the current state; a new model opens a new window."""
         if model is not self._model or not self._handle.is_running():
             self.close()
             import mujoco.viewer  # Loads GLFW, which only windows need.
@@ -53,12 +53,12 @@ class Window:
         """Close the window."""
         if self._handle is not None:
             self._handle.close()
-            # The viewer closes in threads of its own; the interpreter crashes if it ends before they do.
+            # The viewer closes in its own threads; the interpreter crashes if it exits before they do.
             for thread in self._threads:
                 thread.join(timeout=5.0)
             self._handle = self._model = None
 
 
 def has_display() -> bool:
-    """Whether windows can be opened here."""
+    """Whether this machine can open windows."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

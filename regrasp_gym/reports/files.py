@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import uuid
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
@@ -20,10 +21,10 @@ def replacing(path: Path) -> Generator[Path]:
     """Yield a temporary file beside ``path``, which is renamed to ``path`` if the block succeeds.
 
     Whatever kills the process, ``path`` holds the old content or the new one. Its folder is made. The temporary name
-    has the suffix of ``path``, and processes that write the same file do not share it.
+    has the suffix of ``path``, and is never shared by two writers of the same file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.tmp{path.suffix}")
     try:
         yield temporary
         temporary.replace(path)

@@ -1,24 +1,25 @@
-"""What the excavator's tracked undercarriage and its house look like."""
+"""The visible surfaces of the excavator's tracked undercarriage and its house."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from regrasp_gym.rendering.surfaces import Look, joined, sweep
-from regrasp_gym.robots.excavator_shapes import Parts, bar, box, frustum, merged, pin, pipe, plate, stadium, strut
+from regrasp_gym.robots.excavator_shapes import bar, box, frustum, merged, pin, pipe, plate, stadium, strut
+from regrasp_gym.robots.looks import Parts
 
 _SHOES = 49
-"""Shoes of a track, as on a Cat 320."""
+"""Shoes per track (Cat 320)."""
 
 _GAUGE = 2.38
-"""Distance between the middles of the tracks, metres (Cat 320)."""
+"""Distance between the centre lines of the tracks, metres (Cat 320)."""
 
 _WHEELS = 1.80
-"""Half the distance between sprocket and idler, metres (a Cat 320 has 3.65 m between them)."""
+"""Half the distance between sprocket and idler, metres (Cat 320: 3.65 m between them)."""
 
 
 def chassis() -> Parts:
-    """The undercarriage: two tracks, the frame between them and the ring that the house turns on."""
+    """The undercarriage: two tracks, the frame between them and the slewing ring of the house."""
     frame = [
         frustum(_rectangle(1.0, 0.9), _rectangle(0.75, 0.7), 0.42, 0.86),
         *(strut((x, -1.1, 0.52), (x, 1.1, 0.52), 0.2, 0.13) for x in (-0.75, 0.75)),
@@ -50,7 +51,7 @@ def _track(y: float) -> Parts:
 
 
 def _shoe() -> Look:
-    """A shoe with three grousers, flat in the xy plane, its outside down."""
+    """A shoe with three grousers in the xy plane, facing down."""
     base = box((-0.095, -0.3, -0.018), (0.095, 0.3, 0.006))
     ridges = [box((x - 0.011, -0.3, -0.043), (x + 0.011, 0.3, -0.016)) for x in (-0.08, 0.0, 0.08)]
     return joined([base, *ridges])

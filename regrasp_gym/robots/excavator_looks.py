@@ -1,27 +1,20 @@
-"""What the excavator looks like: boom, arm, tiltrotator and grapple here, the rest in excavator_carrier_looks.py."""
+"""The excavator's visible surfaces: boom, arm, tiltrotator and grapple; the rest is in excavator_carrier_looks.py."""
 
 from __future__ import annotations
 
 from functools import cache
 
-import mujoco
 import numpy as np
 
-from regrasp_gym.rendering.surfaces import Look, add_look, revolve
+from regrasp_gym.rendering.surfaces import Look, revolve
 from regrasp_gym.robots import excavator_carrier_looks as carrier
-from regrasp_gym.robots.excavator_shapes import Parts, bar, beam, box, frustum, merged, painted, pin, pipe, plate
-
-
-def add_looks(spec: mujoco.MjSpec) -> None:
-    """Add the geoms that are seen (group 2) to the excavator's bodies."""
-    for body, surfaces in excavator_looks().items():
-        for finish, look in surfaces.items():
-            add_look(spec, spec.body(body), f"{body}_{finish}", look)
+from regrasp_gym.robots.excavator_shapes import FINISHES, bar, beam, box, frustum, merged, pin, pipe, plate
+from regrasp_gym.robots.looks import Parts, RobotLooks, painted
 
 
 @cache
-def excavator_looks() -> dict[str, dict[str, Look]]:
-    """Surfaces by body and finish, in the frames of the bodies."""
+def excavator_looks() -> RobotLooks:
+    """The excavator's visible surfaces."""
     parts = {
         "chassis": carrier.chassis(),
         "house": carrier.house(),
@@ -34,7 +27,7 @@ def excavator_looks() -> dict[str, dict[str, Look]]:
         "left_jaw": _jaw(),
         "right_jaw": _jaw(),
     }
-    return {body: painted(part) for body, part in parts.items()}
+    return painted(parts, FINISHES)
 
 
 def _boom() -> Parts:

@@ -1,4 +1,4 @@
-"""Plates, bars and pins: the shapes of which the excavator's looks are welded together."""
+"""Plates, bars and pins: the shapes that make up the excavator's visible surfaces."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from regrasp_gym.rendering.surfaces import Look, Rgba, faceted, joined, revolve, sweep
+from regrasp_gym.robots.looks import Finish, Parts
 
 PAINT: Rgba = (0.06, 0.40, 0.42, 1.0)
 CREAM: Rgba = (0.90, 0.87, 0.78, 1.0)
@@ -19,7 +20,7 @@ CHROME: Rgba = (0.80, 0.81, 0.83, 1.0)
 GLASS: Rgba = (0.13, 0.20, 0.25, 1.0)
 LAMP: Rgba = (0.98, 0.97, 0.88, 1.0)
 
-FINISH: dict[str, tuple[Rgba, float, float]] = {
+FINISHES: dict[str, Finish] = {
     "paint": (PAINT, 0.45, 0.5),
     "cream": (CREAM, 0.4, 0.5),
     "dark": (DARK, 0.25, 0.3),
@@ -29,10 +30,7 @@ FINISH: dict[str, tuple[Rgba, float, float]] = {
     "glass": (GLASS, 0.9, 0.9),
     "lamp": (LAMP, 0.8, 0.8),
 }
-"""Colour, specular and shininess by name."""
-
-Parts = dict[str, list[Look]]
-"""Surfaces by the name of their finish."""
+"""Finishes by name."""
 
 Point = Sequence[float] | Float[np.ndarray, " 3"]
 """A point, (3,) metres."""
@@ -49,11 +47,6 @@ def merged(*parts: Parts) -> Parts:
     return total
 
 
-def painted(parts: Parts) -> dict[str, Look]:
-    """One surface per finish."""
-    return {finish: joined(looks).painted(*FINISH[finish]) for finish, looks in parts.items()}
-
-
 def box(low: Sequence[float], high: Sequence[float]) -> Look:
     """A box between two corners, metres."""
     corners = np.array([low, high], float)
@@ -65,8 +58,8 @@ def plate(outline: Sequence[tuple[float, float]], low: float, high: float, acros
     """A convex plate.
 
     Args:
-        outline: corners in the plane of the two other axes, in the order x, y, z, metres.
-        low, high: where it begins and ends along ``across``, metres.
+        outline: corners in the plane of the other two axes, in the order x, y, z, metres.
+        low, high: its extent along ``across``, metres.
         across: "x", "y" or "z".
     """
     points = np.asarray(outline, float)
@@ -75,7 +68,7 @@ def plate(outline: Sequence[tuple[float, float]], low: float, high: float, acros
 
 
 def frustum(low: Sequence[tuple[float, float]], high: Sequence[tuple[float, float]], bottom: float, top: float) -> Look:
-    """The hull of an outline (x, y) at height ``bottom`` and another at ``top``, metres."""
+    """The hull of one outline (x, y) at height ``bottom`` and another at ``top``, metres."""
     return faceted(np.concatenate([np.insert(np.asarray(o, float), 2, z, 1) for o, z in ((low, bottom), (high, top))]))
 
 
@@ -102,7 +95,7 @@ def strut(start: Sequence[float], end: Sequence[float], half_y: float, half_z: f
 
 
 def pipe(points: Sequence[Sequence[float]], radius: float) -> Look:
-    """Bars from point to point, metres."""
+    """Round bars from point to point, metres."""
     return joined([bar(a, b, radius, 10) for a, b in pairwise(points)])
 
 
@@ -111,8 +104,8 @@ def beam(points: Sequence[tuple[float, float]], half_heights: Sequence[float], h
 
     Args:
         points: (x, z) of the centre line, metres.
-        half_heights: of the section at each point, metres.
-        half_width: along y, metres.
+        half_heights: half the height of the section at each point, metres.
+        half_width: half the width along y, metres.
     """
     path = np.array([(x, 0.0, z) for x, z in points])
     sizes = np.array([(half_width, height) for height in half_heights])

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from regrasp_gym.robots.panda_looks import add_looks
-
-if TYPE_CHECKING:
-    from regrasp_planner import Robot
+from regrasp_gym.robots.looks import add_looks
+from regrasp_gym.robots.panda_looks import panda_looks
+from regrasp_gym.robots.setup import RobotSetup
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 """Names of the arm's joints, base to wrist."""
@@ -28,8 +26,11 @@ GRIPPER_ACTUATOR = "gripper"
 TCP_SITE = "tcp"
 """Site at the grasp centre: +z out of the palm, the fingers close along ±y."""
 
+PADS = ("left_pad_c", "right_pad_c")
+"""Geoms of the finger tips that touch the target."""
+
 HOME = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
-"""(7,) the robot's usual ready configuration, radians: hand level, pointing down."""
+"""(7,) the usual ready configuration, radians: hand level, pointing down."""
 
 OPEN_THETA = 0.04
 """Finger travel of the open gripper, metres."""
@@ -46,33 +47,28 @@ def build_spec() -> mujoco.MjSpec:
 
     Bodies ``link0`` … ``link7``, ``hand``, ``left_finger``, ``right_finger``; joints `ARM_JOINTS` and `FINGER_JOINTS`;
     position actuators `ARM_ACTUATORS` (force limits 87 and 12 N·m) and `GRIPPER_ACTUATOR` (70 N at each pad); site
-    `TCP_SITE`; camera ``wrist``. Collision geoms are in group 3, the geoms that are seen in group 2. All bodies are
+    `TCP_SITE`; camera ``wrist``. Collision geoms are in group 3, visible geoms in group 2. All bodies are
     gravity-compensated. Physics options are left at their defaults: see `regrasp_gym.simulation.physics.configure`.
     """
     xml = files("regrasp_gym.robots").joinpath("panda.xml").read_text(encoding="utf-8")
     spec = mujoco.MjSpec.from_string(xml)
-    add_looks(spec)
+    add_looks(spec, panda_looks())
     return spec
 
 
-def planner_robot(model: mujoco.MjModel | None = None) -> Robot:
-    """The Panda as the planner sees it.
-
-    Args:
-        model: a compiled model that holds the Panda under the names of `build_spec`; by default the Panda alone.
-    """
-    # Imported here because it loads JAX, which the physics alone does not need.
-    from regrasp_gym.robots.planner_robot import robot_from_model
-
-    return robot_from_model(
-        build_spec().compile() if model is None else model,
-        name="panda",
-        base="link0",
-        joints=ARM_JOINTS,
-        tool_site=TCP_SITE,
-        finger_joints=FINGER_JOINTS,
-        pads=("left_pad_c", "right_pad_c"),
-        max_velocity=MAX_VELOCITY,
-        max_acceleration=MAX_ACCELERATION,
-        home=HOME,
-    )
+PANDA = RobotSetup(
+    name="panda",
+    build_spec=build_spec,
+    base="link0",
+    arm_joints=ARM_JOINTS,
+    arm_actuators=ARM_ACTUATORS,
+    finger_joints=FINGER_JOINTS,
+    pads=PADS,
+    gripper_actuator=GRIPPER_ACTUATOR,
+    tcp_site=TCP_SITE,
+    home=HOME,
+    max_velocity=MAX_VELOCITY,
+    max_acceleration=MAX_ACCELERATION,
+    theta_range=(0.0, OPEN_THETA),
+)
+"""The Panda as the environments drive it."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_gym.rendering.surfaces import Look, Rgba, add_look, faceted, joined, revolve, sweep
+from regrasp_gym.rendering.surfaces import Look, Rgba, faceted, revolve, sweep
+from regrasp_gym.robots.looks import Finish, Parts, RobotLooks, painted
 
 WHITE: Rgba = (0.92, 0.93, 0.94, 1.0)
 GREY: Rgba = (0.42, 0.44, 0.47, 1.0)
@@ -19,16 +19,17 @@ STEEL: Rgba = (0.68, 0.69, 0.71, 1.0)
 _X, _Y, _Z = np.eye(3)
 
 
-def add_looks(spec: mujoco.MjSpec) -> None:
-    """Add the geoms that are seen (group 2) to the Panda's bodies."""
-    for body, surfaces in panda_looks().items():
-        for colour, look in surfaces.items():
-            add_look(spec, spec.body(body), f"{body}_{colour}", look)
+_FINISHES: dict[str, Finish] = {
+    "white": (WHITE, 0.5, 0.6),
+    "grey": (GREY, 0.4, 0.5),
+    "black": (BLACK, 0.3, 0.4),
+    "steel": (STEEL, 0.7, 0.7),
+}
 
 
 @cache
-def panda_looks() -> dict[str, dict[str, Look]]:
-    """Surfaces by body and colour, in the frames of the bodies."""
+def panda_looks() -> RobotLooks:
+    """The Panda's visible surfaces."""
     parts = {
         "link0": _link0(),
         "link1": _link1(),
@@ -42,19 +43,7 @@ def panda_looks() -> dict[str, dict[str, Look]]:
         "left_finger": _finger(),
         "right_finger": _finger(),
     }
-    paint = {
-        "white": (WHITE, 0.5, 0.6),
-        "grey": (GREY, 0.4, 0.5),
-        "black": (BLACK, 0.3, 0.4),
-        "steel": (STEEL, 0.7, 0.7),
-    }
-    return {
-        body: {colour: joined(surfaces).painted(*paint[colour]) for colour, surfaces in by_colour.items()}
-        for body, by_colour in parts.items()
-    }
-
-
-Parts = dict[str, list[Look]]
+    return painted(parts, _FINISHES)
 
 
 def _link0() -> Parts:
@@ -223,7 +212,7 @@ def _caps(
 def _rims(
     center: Sequence[float], axis: np.ndarray, radius: float, half: float, sides: tuple[bool, bool] = (True, True)
 ) -> list[Look]:
-    """Narrow rings where the ends of a barrel begin."""
+    """Narrow rings around the ends of a barrel."""
     ring = _ring(radius, half - 0.001, half + 0.0055)
     return [_turned(ring, axis * sign, center) for sign, there in zip((-1, 1), sides, strict=True) if there]
 

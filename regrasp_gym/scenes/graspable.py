@@ -1,4 +1,4 @@
-"""Whether the gripper can take a hollow object that is too wide for it by a part, such as the rim of a mug."""
+"""Whether the gripper can grasp a hollow object that is too wide for it by a part, such as a mug's rim."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.scenes.resting import RestingPose
 
 FINGER = 0.02
-"""Thickness of a finger with the gap it needs, metres."""
+"""Thickness of a finger and the gap around it, metres."""
 
 GRIP = 0.01
-"""How far a finger has to reach down beside the part, metres."""
+"""Depth of a finger beside the part, metres."""
 
 
 @lru_cache(maxsize=256)
-def over_a_part(model: ObjectModel, pose: RestingPose, opening: float) -> bool:
-    """Whether some piece of the object as it lies is thin enough, and free from above on both sides.
+def graspable_by_part(model: ObjectModel, pose: RestingPose, opening: float) -> bool:
+    """Whether some piece of the lying object is thin enough, and free from above on both sides.
 
     Args:
         model: an object of several pieces.
-        pose: how it lies.
-        opening: widest part that the gripper takes, metres.
+        pose: its resting pose.
+        opening: width of the widest part that fits the gripper, metres.
     """
     pieces = [piece @ pose.rotation.T for piece in model.pieces]
     hulls = [ConvexHull(piece) for piece in pieces]
@@ -45,7 +45,7 @@ def over_a_part(model: ObjectModel, pose: RestingPose, opening: float) -> bool:
 
 
 def _thinnest(points: Float[np.ndarray, "N 2"]) -> tuple[Float[np.ndarray, " 2"], float, float]:
-    """Horizontal axis along which the points extend least, and from where to where."""
+    """Horizontal axis along which the points extend least, and their range along it."""
     normals = ConvexHull(points).equations[:, :2]
     extent = points @ normals.T
     k = int(np.ptp(extent, axis=0).argmin())

@@ -1,7 +1,6 @@
-"""Scenes of the lifting task: one object on an otherwise empty table, to be held a little above where it stood.
+"""Scenes of the lifting task: one object on an empty table, to be held a little above its start.
 
-A scene is a function of a seed and a `LiftConfig`, and of nothing else. The robot's base is the world's origin, the
-table top is z = 0.
+A scene depends on a seed and a `LiftConfig` alone. The robot's base is the world's origin, the table top is z = 0.
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ from regrasp_gym.scenes.scene import PlacedObject, ReleasePatch, Scene, level_su
 
 @dataclass(frozen=True)
 class LiftConfig:
-    """Everything about the scenes that can be tuned. Lengths in metres, angles in radians.
+    """Parameters of the scenes. Lengths in metres, angles in radians.
 
     Attributes:
-        targets: names of the objects that may have to be lifted.
-        center, size: rectangle in which the target's middle starts, middle and full size.
-        yaw: the target's narrow sides are turned by up to ± this from facing left and right.
-        height: by how much the target is to be lifted.
-        max_opening, opening_margin: of the gripper: as they lie, targets are narrower than the one minus the other.
-        table_center, table_size: middle of the table top, and its length, width and thickness.
+        targets: names of the objects that may be the target.
+        center, size: centre and full size of the rectangle that the target's origin starts in.
+        yaw: largest turn, to either side, of the target's narrow sides from facing left and right.
+        height: how far the target has to be lifted.
+        max_opening, opening_margin: opening of the gripper, and how much narrower a target must be as it lies.
+        table_center, table_size: centre of the table top, and its length, width and thickness.
     """
 
     targets: tuple[str, ...] = ("061_foam_brick",)
@@ -49,8 +48,8 @@ class LiftConfig:
             least = min(pose.level_width for pose in resting_poses(OBJECTS[name]))
             if least > self.max_opening - self.opening_margin:
                 raise SceneError(
-                    f"target {name!r} is {1e3 * least:.0f} mm wide however it lies; the gripper takes at most "
-                    f"{1e3 * (self.max_opening - self.opening_margin):.0f} mm"
+                    f"target {name!r} is at least {1e3 * least:.0f} mm wide in every resting pose; "
+                    f"the gripper takes at most {1e3 * (self.max_opening - self.opening_margin):.0f} mm"
                 )
 
 
@@ -58,14 +57,14 @@ class LiftConfig:
 class LiftScene(Scene):
     """A scene of the lifting task.
 
-    ``goal_pose`` is where the target is to be held, ``release`` where it starts: nothing is put down in this task.
+    The target has to be held at ``goal_pose``. ``release`` is the area it starts in: nothing is put down in this task.
     """
 
     config: LiftConfig
 
     @property
     def others(self) -> tuple[PlacedObject, ...]:
-        """None."""
+        """Always empty."""
         return ()
 
     @property
@@ -77,12 +76,12 @@ class LiftScene(Scene):
 def make_scene(seed: int, config: LiftConfig | None = None) -> LiftScene:
     """The scene of a seed.
 
-    The target lies in the likeliest of the resting poses in which the gripper fits over it, at a random place, turned
-    at random by up to ``config.yaw`` from where its narrow sides face left and right.
+    The target lies in the likeliest resting pose that the gripper fits over, at a random position. Its narrow sides
+    face left and right, up to a random turn of ``config.yaw`` to either side.
 
     Args:
         seed: a non-negative integer.
-        config: the default one if None.
+        config: the default if None.
 
     Raises:
         SceneError: negative seed.
@@ -110,5 +109,5 @@ def make_scene(seed: int, config: LiftConfig | None = None) -> LiftScene:
 
 
 def _nearest_half_turn(angle: float) -> float:
-    """The same direction of an axis, turned by at most a right angle."""
+    """The angle modulo π, in [−π/2, π/2)."""
     return float((angle + np.pi / 2) % np.pi - np.pi / 2)

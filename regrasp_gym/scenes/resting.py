@@ -1,7 +1,7 @@
-"""How an object can lie on a flat surface, from the exact facets of its hull, and how likely each way is.
+"""Resting poses of an object on a plane, from the exact facets of its hull, and their probabilities.
 
-Deliberately apart from the planner's `stable_poses`: a seed must give the same scene however the planner's optimiser
-evolves.
+Deliberately independent of the planner's `stable_poses`: a seed must give the same scene whatever the planner's
+optimiser becomes.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from regrasp_gym.geometry.poses import turning_down
 from regrasp_gym.objects.model import ObjectModel
 
 MIN_MARGIN = 0.002
-"""Least distance (metres) of the centre of mass from the edge of the facet it rests on."""
+"""Least margin (metres) of a resting pose; see `RestingPose.margin`."""
 
 
 @dataclass(frozen=True, eq=False)
 class RestingPose:
-    """One way an object rests on a horizontal plane, up to its turn about the vertical.
+    """A pose of an object at rest on a horizontal plane, up to yaw.
 
     Attributes:
-        rotation: (3, 3) of the object frame in the world, at yaw zero.
-        height: of the object frame's origin above the plane, metres.
-        down: (3,) unit direction in the object frame that points down.
+        rotation: (3, 3) rotation of the object frame in the world at yaw zero.
+        height: height of the object frame's origin above the plane, metres.
+        down: (3,) unit direction that points down, object frame.
         probability: share of random drops that end here (quasi-static rolling), in [0, 1].
-        margin: distance of the centre of mass from the edge of the supporting facet, metres.
-        footprint: (K, 2) convex polygon that the hull covers from above, counter-clockwise, metres, at yaw zero.
+        margin: horizontal distance of the centre of mass from the edge of the supporting facet, metres.
+        footprint: (K, 2) hull seen from above at yaw zero, counter-clockwise, metres.
     """
 
     rotation: Float[np.ndarray, "3 3"]
@@ -43,7 +43,7 @@ class RestingPose:
 
     @property
     def level_width(self) -> float:
-        """Least distance (metres) of two upright, parallel planes that hold the object as it lies."""
+        """Least distance (metres) of two vertical, parallel planes around the lying object."""
         return float(np.ptp(self.footprint @ self.level_axis))
 
     @property
@@ -56,12 +56,12 @@ class RestingPose:
 
 @lru_cache(maxsize=256)
 def resting_poses(model: ObjectModel) -> tuple[RestingPose, ...]:
-    """All ways in which the object rests on a plane, most likely first; their probabilities sum to one.
+    """All resting poses of the object, most likely first; their probabilities sum to one.
 
-    The object starts on a facet as often as its solid angle, seen from the centre of mass, tells, and rolls over the
-    edge that the centre of mass is farthest beyond until it is above the facet (Goldberg, Mirtich, Zhuang, Craig,
-    Carlisle, Canny, "Part pose statistics: estimators and experiments", IEEE T-RA 1999). Facets with less than
-    `MIN_MARGIN` are left out.
+    The object starts on a facet with a probability in proportion to its solid angle from the centre of mass. It rolls
+    over the edge that the centre of mass is farthest beyond, until the centre of mass is above the facet (Goldberg,
+    Mirtich, Zhuang, Craig, Carlisle, Canny, "Part pose statistics: estimators and experiments", IEEE T-RA 1999). Facets
+    with less than `MIN_MARGIN` are left out.
     """
     facets = find_facets(np.concatenate(model.pieces))
     count = len(facets.normals)
@@ -77,15 +77,15 @@ def resting_poses(model: ObjectModel) -> tuple[RestingPose, ...]:
 
 @lru_cache(maxsize=256)
 def upright_pose(model: ObjectModel, tolerance: float = np.deg2rad(10)) -> RestingPose | None:
-    """The resting pose nearest to upright, or None if there is none within ``tolerance`` radians."""
+    """The resting pose nearest to upright, or None if none is within ``tolerance`` radians."""
     best = max(resting_poses(model), key=lambda pose: -pose.down[2])
     return best if -best.down[2] >= np.cos(tolerance) else None
 
 
 def least_width(model: ObjectModel) -> float:
-    """Least distance (metres) of two parallel planes that hold the object, one of them on a facet of its hull.
+    """Least distance (metres) of two parallel planes around the object, one of them on a facet of its hull.
 
-    An upper bound of the width of the hull, equal to it unless the least width is between two edges.
+    An upper bound of the hull's width, exact unless the least width is between two edges.
     """
     points = np.concatenate(model.pieces)
     normals = ConvexHull(points).equations[:, :3]
@@ -93,7 +93,7 @@ def least_width(model: ObjectModel) -> float:
 
 
 def _roll_to_rest(facets: Facets, start: int) -> int:
-    """The facet that the object finally rests on. Its centre of mass sinks with every roll, so this ends."""
+    """The facet that the object comes to rest on. Its centre of mass sinks with every roll, so this ends."""
     now = start
     while facets.margins[now] < 0:
         edges = np.flatnonzero(facets.facet == now)
@@ -104,8 +104,8 @@ def _roll_to_rest(facets: Facets, start: int) -> int:
 def _solid_angle(facets: Facets, facet: int) -> float:
     """Solid angle of a facet seen from the origin.
 
-    `Facets.solid_angles` but for the last bits. Facets of round objects are alike, so these bits set the order of
-    resting poses, and the order decides which of them a seed draws.
+    Differs from `Facets.solid_angles` in the last bits. Facets of round objects are alike, so these bits set the order
+    of resting poses, and the order decides which one a seed draws.
     """
     on = np.unique(facets.edges[facets.facet == facet])
     corners = counter_clockwise(facets.points[on], facets.normals[facet])

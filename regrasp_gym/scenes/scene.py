@@ -1,4 +1,4 @@
-"""What every scene is made of: things that move, things that stay, and where the target may be put down in between."""
+"""Parts of every scene: movable objects, fixtures, and the area where the target may be put down in between."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from regrasp_gym.objects.model import ObjectModel
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """An object that can be pushed about, and the pose it starts at.
+    """A movable object and its start pose.
 
     Attributes:
         model: shape, mass and looks.
-        pose: (7,) of the object frame in the world.
+        pose: (7,) pose of the object frame, world.
     """
 
     model: ObjectModel
@@ -35,10 +35,10 @@ class Fixture:
     """A box that never moves: a table top, a board, a wall, a slope.
 
     Attributes:
-        name: for messages, and the name of its body.
+        name: name of its body, also in messages.
         size: (3,) full edge lengths, metres.
-        pose: (7,) of its middle in the world.
-        material: what it looks like, a key of `regrasp_gym.rendering.materials.MATERIALS`.
+        pose: (7,) pose of its centre, world.
+        material: key of `regrasp_gym.rendering.materials.MATERIALS`.
         support: whether objects may rest on it.
     """
 
@@ -51,12 +51,12 @@ class Fixture:
 
 @dataclass(frozen=True, eq=False)
 class ReleasePatch:
-    """Flat, horizontal rectangle that is kept free, where the target may be put down.
+    """A horizontal rectangle kept free, where the target may be put down.
 
-    The planner's `ReleaseArea` without the planner, which would load JAX.
+    The planner's `ReleaseArea`, without loading JAX.
 
     Attributes:
-        center: (3,) middle of the surface, metres, world.
+        center: (3,) centre of the surface, metres, world.
         half_extents: (2,) half sizes along world x and y, metres.
     """
 
@@ -66,14 +66,14 @@ class ReleasePatch:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene(ABC):
-    """One scene, pure data: what an environment needs to know of it, whatever the scenario.
+    """A scene as pure data, whatever the scenario.
 
     Attributes:
-        seed, config: what it was made from.
-        target: the object to be moved and where it starts.
-        goal_pose: (7,) where it is to come to rest.
-        fixtures: everything that never moves, except the robot.
-        release: where the target may be put down in between.
+        seed, config: seed and configuration it was made from.
+        target: the object to move, at its start.
+        goal_pose: (7,) goal pose of the target, world.
+        fixtures: everything fixed, except the robot.
+        release: area where the target may be put down in between.
     """
 
     seed: int
@@ -100,7 +100,7 @@ def level_support(name: str, size: tuple[float, float, float], center: tuple[flo
     Args:
         name: name of the fixture.
         size: full edge lengths along world x, y and z, metres.
-        center: x and y of its middle, metres, world.
+        center: x and y of its centre, metres, world.
         material: see `Fixture`.
     """
     pose = np.array([1.0, 0.0, 0.0, 0.0, *center, -size[2] / 2])

@@ -1,7 +1,7 @@
-"""Scenes of the excavator scenario: stones on two slopes, a goal among or on the stones of the other slope.
+"""Scenes of the excavator: stones on two slopes, and a goal among or on the stones of the other slope.
 
-A scene is a function of a seed and a `SlopesConfig`, and of nothing else. The swing axis is the world's z axis, the
-machine looks along x, level ground is z = 0. Everything is placed by geometry; nothing is simulated.
+A scene depends on a seed and a `SlopesConfig` alone. The swing axis is the world's z axis, the machine faces x, level
+ground is z = 0. Everything is placed by geometry; nothing is simulated.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.stone_looks import TONES
 from regrasp_gym.objects.stones import bare_stone, dressed, stone
 from regrasp_gym.scenes.scene import Fixture, PlacedObject, ReleasePatch, Scene, level_support
-from regrasp_gym.scenes.slope_resting import Lying, Plane, Seat, seats
+from regrasp_gym.scenes.slope_resting import Plane, RestingStone, Seat, seats
 from regrasp_gym.scenes.slopes_config import SlopesConfig
 
 _DRAWS = 48
-"""Random placements tried at once for one stone."""
+"""Random placements of one stone, tried at once."""
 
 _STONES = 6
-"""Stones tried for one place before a scene has to do with fewer."""
+"""Stones tried for one place before the scene gets one fewer."""
 
 _TARGETS = 12
-"""Targets tried before a config counts as impossible."""
+"""Targets tried before the kind of goal may change; after twice as many the config counts as impossible."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SlopesScene(Scene):
-    """A scene of the excavator scenario.
+    """A scene of the excavator.
 
     Attributes:
         pick_stones: the other stones on the pick slope.
         place_stones: the stones on the place slope.
-        base: name of the stone that the goal is on, or None if it is on the slope.
+        base: name of the stone under the goal, or None if the goal is on the slope.
         same_side: whether the target lies on the same facet at the start and at the goal.
     """
 
@@ -69,21 +69,21 @@ class SlopesScene(Scene):
 def make_scene(seed: int, config: SlopesConfig | None = None) -> SlopesScene:
     """The scene of a seed.
 
-    No other stone has the target's tone of colour, and none on the place slope that of the stone under the goal, so
-    that the instruction names one stone each. Where no place is found for a stone in a bounded number of tries there
-    are fewer: a scene comes out for every seed.
+    No other stone has the target's tone of colour, and no other on the place slope has that of the stone under the
+    goal, so the instruction is unambiguous. A stone without a free place after a bounded number of tries is left out,
+    so every seed gives a scene.
 
     Args:
         seed: a non-negative integer.
-        config: the default one if None.
+        config: the default if None.
 
     Raises:
-        SceneError: negative seed, or no target or goal that the config allows was found; the message names the field.
+        SceneError: negative seed, or no target or goal found within the config; the message names the fields.
     """
     config = config or SlopesConfig()
     check_seed(seed, "scene")
     rng = np.random.default_rng([seed, 0x5709E])
-    # Streams of their own: what lies on one slope does not change the other slope.
+    # Separate streams: stones on one slope do not change the other slope.
     pick_rng, place_rng = rng.spawn(2)
     tones = [str(tone) for tone in rng.permutation(list(TONES))]
     pick = _Slope.drawn(rng, "pick_slope", config.pick_azimuth, config)
@@ -113,7 +113,7 @@ def make_scene(seed: int, config: SlopesConfig | None = None) -> SlopesScene:
 
 
 class _Slope:
-    """An inclined surface, and what lies on it."""
+    """An inclined surface and the stones on it."""
 
     def __init__(self, name: str, plane: Plane, outward: np.ndarray, config: SlopesConfig) -> None:
         self.name, self.plane, self.outward, self.config = name, plane, outward, config
@@ -139,22 +139,22 @@ class _Slope:
             self.name, np.array(size), to_pose(mujoco_quaternion(self.plane.rotation), middle), "earth", support=True
         )
 
-    def put(self, placed: Lying, *more: np.ndarray) -> None:
-        """Cover what the stone and ``more`` points in the world cover; the next stones gather around it."""
+    def put(self, placed: RestingStone, *more: np.ndarray) -> None:
+        """Occupy the footprint of the stone and of ``more`` world points; later stones gather around it."""
         points = np.concatenate([placed.footprint, *(self.plane.to_plane(points)[:, :2] for points in more)])
         self.taken.append(points[ConvexHull(points).vertices])
         self.middle = placed.position[:2]
 
     def near_middle(
         self, rng: np.random.Generator, model: ObjectModel, seat: Seat, spread: float, yaws: np.ndarray
-    ) -> Lying | None:
-        """The stone on this facet at the first of the turns at which it is stable, near the middle of the slope."""
+    ) -> RestingStone | None:
+        """The stone on this facet near the middle of the slope, at the first of the yaws that keeps it stable."""
         radius, azimuth = spread * np.sqrt(rng.random(len(yaws))), rng.uniform(-np.pi, np.pi, len(yaws))
         positions = radius[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
         return self._first(model, seat, yaws, positions)
 
     def surround(self, rng: np.random.Generator, names: list[str], gap: tuple[float, float], tones: list[str]) -> None:
-        """Push stones of these names towards the middle of what is there, from random sides, as long as they fit."""
+        """Push new stones from random sides towards the last stone that was put, as long as they fit."""
         for name in names:
             for _ in range(_STONES):
                 seed = _seed(rng)
@@ -174,26 +174,26 @@ class _Slope:
                     self.stones.append(PlacedObject(dressed(model, seed), placed.pose))
                     break
 
-    def _first(self, model: ObjectModel, seat: Seat, yaws: np.ndarray, positions: np.ndarray) -> Lying | None:
-        """The first of the placements that is stable and inside the disc."""
+    def _first(self, model: ObjectModel, seat: Seat, yaws: np.ndarray, positions: np.ndarray) -> RestingStone | None:
+        """The first placement that is stable and inside the disc."""
         footprints = np.einsum("tij,kj->tki", turn(yaws), seat.footprint) + positions[:, None]
         good = np.linalg.norm(footprints, axis=2).max(axis=1) <= self.config.slope_radius
         good &= seat.margin(yaws, self.plane.fall) >= self.config.rest_margin
         if not good.any():
             return None
         k = int(good.argmax())
-        return Lying(model, seat, self.plane, float(yaws[k]), np.array([*positions[k], seat.height]))
+        return RestingStone(model, seat, self.plane, float(yaws[k]), np.array([*positions[k], seat.height]))
 
 
 def _target_and_goal(
     rng: np.random.Generator, pick: _Slope, place: _Slope, tones: list[str], config: SlopesConfig
-) -> tuple[Lying, Lying, Lying | None]:
-    """The target at its start and at its goal, and the stone under the goal if there is one."""
+) -> tuple[RestingStone, RestingStone, RestingStone | None]:
+    """The target at its start and at its goal, and the stone under the goal, if any."""
     same, on_top = rng.random() < config.same_side, rng.random() < config.on_top
     limit = config.max_opening - config.opening_margin
     start = None
     for attempt in range(2 * _TARGETS):
-        # Better another target than a goal of another kind than was drawn, for a while.
+        # At first, prefer another target to another kind of goal.
         lenient = attempt >= _TARGETS
         model = stone(_seed(rng), config.target, "stone_0", tones[0])
         choice = [seat for seat in seats(model) if seat.width <= limit]
@@ -220,18 +220,18 @@ def _target_and_goal(
         raise SceneError(
             f"no target of {config.target} lies on the pick slope with rest_margin {config.rest_margin} m, within "
             f"slope_radius {config.slope_radius} m and at most max_opening - opening_margin = {limit:.2f} m wide; "
-            "change target or these"
+            "change target or one of these"
         )
     raise SceneError(
-        f"no goal on the place slope with rest_margin {config.rest_margin} m within slope_radius "
-        f"{config.slope_radius} m was found; lower rest_margin or make slope_radius larger"
+        f"no goal on the place slope has rest_margin {config.rest_margin} m within slope_radius "
+        f"{config.slope_radius} m; lower rest_margin or raise slope_radius"
     )
 
 
 def _goal_on_stone(
-    rng: np.random.Generator, start: Lying, for_goal: list[Seat], place: _Slope, tone: str, config: SlopesConfig
-) -> tuple[Lying, Lying] | None:
-    """The target on an upper facet of a new stone on the place slope, and that stone; None if none was found."""
+    rng: np.random.Generator, start: RestingStone, for_goal: list[Seat], place: _Slope, tone: str, config: SlopesConfig
+) -> tuple[RestingStone, RestingStone] | None:
+    """The target on an upper facet of a new stone on the place slope, and that stone; None if none is found."""
     for _ in range(_STONES):
         model = stone(_seed(rng), config.base, "stone_1", tone)
         choice = seats(model)
@@ -251,8 +251,8 @@ def _goal_on_stone(
     return None
 
 
-def _upper_facets(base: Lying, outward: np.ndarray, config: SlopesConfig) -> list[tuple[Plane, np.ndarray]]:
-    """Planes and corners (K, 2) of the facets that a goal may be on, the largest first."""
+def _upper_facets(base: RestingStone, outward: np.ndarray, config: SlopesConfig) -> list[tuple[Plane, np.ndarray]]:
+    """Planes and corners (K, 2) of the facets that may carry a goal, largest first."""
     rotation, position = base.plane.to_world(base.rotation, base.position)
     facets = base.seat.facets
     normals = facets.normals @ rotation.T
@@ -267,16 +267,16 @@ def _upper_facets(base: Lying, outward: np.ndarray, config: SlopesConfig) -> lis
 
 def _on_facet(
     rng: np.random.Generator,
-    start: Lying,
+    start: RestingStone,
     seat: Seat,
-    base: Lying,
+    base: RestingStone,
     top: Plane,
     facet: np.ndarray,
     config: SlopesConfig,
-) -> Lying | None:
-    """The target flush on a facet of the base, so that neither it nor the base under it tips; None if that fails."""
+) -> RestingStone | None:
+    """The target flush on a facet of the base, neither of them tipping; None if that fails."""
     yaws = _goal_yaws(rng, start, seat, config)
-    # Where gravity through the target's centre of mass meets the facet.
+    # Points of the facet vertically below the target's centre of mass.
     feet = rng.dirichlet(np.ones(len(facet)), len(yaws)) @ facet
     good = (clearance(facet, feet) >= config.top_margin) & (seat.margin(yaws, top.fall) >= config.top_margin)
     positions = np.column_stack([feet - seat.height * top.fall, np.full(len(yaws), seat.height)])
@@ -287,19 +287,21 @@ def _on_facet(
     if not good.any():
         return None
     k = int(good.argmax())
-    return Lying(start.model, seat, top, float(yaws[k]), positions[k])
+    return RestingStone(start.model, seat, top, float(yaws[k]), positions[k])
 
 
-def _goal_yaws(rng: np.random.Generator, start: Lying, seat: Seat, config: SlopesConfig) -> Float[np.ndarray, " T"]:
-    """Turns of the target on another facet: rolled onto it by the least turn, then by ± the range of the config."""
+def _goal_yaws(
+    rng: np.random.Generator, start: RestingStone, seat: Seat, config: SlopesConfig
+) -> Float[np.ndarray, " T"]:
+    """Yaws of the target on another facet: rolled onto it by the smallest rotation, then turned by ± ``goal_yaw``."""
     rolled = turning_down(start.rotation @ seat.normal) @ start.rotation @ seat.rotation.T
     turns = rng.uniform(*config.goal_yaw, _DRAWS) * rng.choice([-1.0, 1.0], _DRAWS)
     return np.arctan2(rolled[1, 0], rolled[0, 0]) + turns
 
 
 def _order(rng: np.random.Generator, choice: list[Seat] | tuple[Seat, ...], weight: float) -> list[int]:
-    """Random order of facets, drawn one after another with their solid angles to the power ``weight``."""
-    # The least of exponential variables with these rates (Efraimidis and Spirakis 2006) is drawn so.
+    """Random order of facets, drawn without replacement by their solid angles to the power ``weight``."""
+    # Weighted sampling without replacement by exponential variables (Efraimidis and Spirakis 2006).
     rates = np.array([seat.solid_angle for seat in choice]) ** weight
     return np.argsort(rng.exponential(size=len(choice)) / rates).tolist()
 

@@ -1,4 +1,4 @@
-"""What can be tuned about the excavator's scenes; see `slopes`."""
+"""Parameters of the excavator's scenes; see `slopes`."""
 
 from __future__ import annotations
 
@@ -11,53 +11,49 @@ from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.stones import FRICTION, StoneConfig
 
 MAX_OTHERS = 10
-"""Most stones besides the target: what observations have room for."""
+"""Most stones besides the target that observations have room for."""
 
 
 @dataclass(frozen=True)
 class SlopesConfig:
-    """Everything about the scenes that can be tuned. Lengths in metres, angles in radians, ranges inclusive.
+    """Parameters of the scenes. Lengths in metres, angles in radians, ranges inclusive.
 
     Attributes:
-        target: what the stone to be moved is like.
-        stones: what the others are like.
-        base: what the stone is like that the target is to be put on.
+        target: the target stone.
+        stones: the other stones.
+        base: the stone under the goal.
         pick_stones: least and most stones on the pick slope besides the target.
-        place_stones: least and most stones on the place slope, the one under the goal among them. Together with
+        place_stones: least and most stones on the place slope, including the one under the goal. Together with
             ``pick_stones`` at most `MAX_OTHERS`.
-        pick_azimuth, place_azimuth: of the middle of the slopes, about z from the machine's x axis.
-        slope_distance: of the middle of a slope from the swing axis.
-        inclination: of a slope.
-        downhill: direction in which a slope falls, seen from above, counted from the way to the machine: 0 falls
-            towards the machine, ±π away from it.
+        pick_azimuth, place_azimuth: azimuth of the slope's middle, from the machine's x axis about z.
+        slope_distance: distance of a slope's middle from the swing axis.
+        inclination: inclination of a slope.
+        downhill: downhill direction of a slope seen from above: 0 is towards the machine, ±π away from it.
         lift: height above the ground of the lowest point of the disc that stones lie on.
         slope_size: edge length of the slope's top face.
-        slope_thickness: of its box, most of it under the ground.
-        slope_radius: of the disc about the middle of a slope that all stones on it keep inside, seen along its normal.
-        target_spread, goal_spread: largest distance of the target's start, or of a goal on the slope itself, from the
-            middle of the slope (of the foot of its centre of mass).
-        pick_gap: range of gaps on the pick slope. One is drawn for each stone; it is pushed towards the target from a
-            random side until this near to it or to a stone on the way, seen along the slope's normal.
+        slope_thickness: thickness of the slope's box, most of it under the ground.
+        slope_radius: radius of the disc, about the middle of a slope and along its normal, that holds all its stones.
+        target_spread, goal_spread: largest distance from the middle of the slope to the foot of the centre of mass, of
+            the target's start and of a goal on the slope itself.
+        pick_gap: gaps on the pick slope. One is drawn for each stone. The stone is pushed from a random side towards
+            the target until it is this near to it or to another stone, seen along the slope's normal.
         goal_gap: likewise on the place slope, towards the goal. Small gaps leave the gripper little room.
-        landing_weight: a stone's facet to lie on is drawn with the facet's solid angle, seen from the centre of mass,
-            to this power: 1 is near to how stones fall, 0 is all alike.
-        goal_landing_weight: likewise for the target at its goal where this is not on the facet it starts on.
-        same_side: probability that the target is to lie on the facet that it lies on at the start. Seldom more come
-            out, where no other facet will do.
-        goal_yaw: range of the turn, to a random side, between start and goal as the machine sees it, that is about
-            the slope's normal and in frames whose x axes point away from the machine. With another facet down the
-            stone is first rolled onto it by the least turn.
-        on_top: probability that the goal is on another stone. Seldom fewer come out, where no stone fits.
-        top_inclination: steepest facet of a stone that a goal may be on.
+        landing_weight: the facet under a stone is drawn by its solid angle from the centre of mass to this power:
+            1 is close to how stones fall, 0 is uniform.
+        goal_landing_weight: likewise for the target at its goal, if on another facet than at its start.
+        same_side: probability that the target lies on the same facet at the start and at the goal. Rarely more scenes
+            do, where no other facet fits.
+        goal_yaw: turn, to a random side, between start and goal as the machine sees it: about the slope's normal, in
+            frames whose x axes point away from the machine. For another facet the stone is first rolled onto it by the
+            smallest rotation.
+        on_top: probability that the goal is on another stone. Rarely fewer are, where no stone fits.
+        top_inclination: steepest facet of a stone that may carry a goal.
         top_height: greatest height above the ground of the middle of that facet.
-        rest_margin: least distance from the edge of the supporting facet of where gravity through a stone's centre of
-            mass meets the plane that it lies on.
-        top_margin: likewise for a goal on a stone, from the edge of what both facets share, and for that stone under
-            its load.
-        max_opening: of the gripper; as the target lies, at the start and at the goal, it is no wider than this minus
-            ``opening_margin`` between some two planes along the slope's normal.
-        opening_margin: see ``max_opening``.
-        release_center, release_size: flat patch of ground that is kept free, middle and full size.
+        rest_margin: least distance from the edge of the supporting facet to the point below the centre of mass.
+        top_margin: likewise for a goal on a stone, from the edge of the shared surface, and for the loaded stone.
+        max_opening, opening_margin: opening of the gripper, and how much narrower the target must be along the slope,
+            between some two planes along its normal, at the start and at a goal on the slope.
+        release_center, release_size: centre and full size of the flat patch of ground kept free.
         ground_size: edge length of the ground.
     """
 
@@ -100,14 +96,16 @@ class SlopesConfig:
         check_probabilities(self, "same_side", "on_top")
         if self.pick_stones[1] + self.place_stones[1] > MAX_OTHERS:
             raise SceneError(
-                f"pick_stones {self.pick_stones} and place_stones {self.place_stones} may be more than {MAX_OTHERS} "
+                f"pick_stones {self.pick_stones} and place_stones {self.place_stones} allow more than {MAX_OTHERS} "
                 "together; lower one of them"
             )
         if self.on_top > 0 and self.place_stones[0] < 1:
             raise SceneError(
-                f"place_stones is {self.place_stones} with on_top {self.on_top}; a goal on a stone needs one"
+                f"place_stones is {self.place_stones} with on_top {self.on_top}; a goal on a stone needs at least 1"
             )
         for name in ("inclination", "top_inclination"):
             steepest = float(np.max(getattr(self, name)))
             if np.tan(steepest) > 0.8 * FRICTION:
-                raise SceneError(f"{name} is up to {steepest:.2f} rad; stones slide from {np.arctan(FRICTION):.2f} rad")
+                raise SceneError(
+                    f"{name} is up to {steepest:.2f} rad; give at most {np.arctan(0.8 * FRICTION):.2f}, or stones slide"
+                )

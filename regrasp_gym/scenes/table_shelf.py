@@ -1,7 +1,7 @@
-"""Scenes of the Panda scenario: cluttered table, shelf with a free place in it, and a free patch of table in between.
+"""Scenes of the Panda: a cluttered table, a shelf with a free place, and a free patch of table in between.
 
-A scene is a function of a seed and a `TableShelfConfig`, and of nothing else. The robot's base is the world's origin,
-the table top is z = 0.
+A scene depends on a seed and a `TableShelfConfig` alone. The robot's base is the world's origin, the table top is
+z = 0.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from regrasp_gym.geometry.polygons import footprint_gap
 from regrasp_gym.geometry.poses import Pose, about_z, shepperd_quaternion, to_pose, turn
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.ycb import OBJECTS
-from regrasp_gym.scenes.graspable import over_a_part
+from regrasp_gym.scenes.graspable import graspable_by_part
 from regrasp_gym.scenes.resting import RestingPose, resting_poses, upright_pose
 from regrasp_gym.scenes.scene import Fixture, PlacedObject, ReleasePatch, Scene, level_support
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
 
 _TRIES = 32
-"""Random placements tried for one object before another one is taken instead."""
+"""Random placements of one object, tried before another object replaces it."""
 
 _SPARE = 5
-"""How many more objects than asked for are tried before a scene has to do with fewer."""
+"""Extra objects tried before the scene gets fewer."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TableShelfScene(Scene):
-    """A scene of the Panda scenario.
+    """A scene of the Panda.
 
     Attributes:
         table_objects: the other objects on the table.
@@ -58,23 +58,22 @@ class TableShelfScene(Scene):
 def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfScene:
     """The scene of a seed.
 
-    The target and the clutter lie on the table in random resting poses, drawn by landing probability (the target's
-    among those in which the gripper fits over it), at random yaw, and do not overlap seen from above (so neither do
-    their hulls). On the shelf, upright objects at random yaw stand around the goal. Another object is taken instead
-    of one for which no free place is found in a bounded number of tries, and where that does not help either there
-    are fewer: a scene comes out for every seed.
+    The target and the clutter lie on the table in random resting poses at random yaw. Resting poses are drawn by
+    landing probability, the target's among those that the gripper fits over. Seen from above objects do not overlap, so
+    their hulls do not either. On the shelf, upright objects at random yaw stand around the goal. An object without a
+    free place after a bounded number of tries is replaced or, if that fails too, left out, so every seed gives a scene.
 
     Args:
         seed: a non-negative integer.
-        config: the default one if None.
+        config: the default if None.
 
     Raises:
-        SceneError: negative seed, or a rectangle or board that is too small for the target alone.
+        SceneError: negative seed, or a pick area or board too small for the target alone.
     """
     config = config or TableShelfConfig()
     check_seed(seed, "scene")
     rng = np.random.default_rng([seed, 0x7AB1E])
-    # A stream of its own: what lies on the table does not change what stands on the shelf.
+    # A separate stream: objects on the table do not change those on the shelf.
     (shelf_rng,) = rng.spawn(1)
     model = OBJECTS[str(rng.choice(config.targets))]
     names = [str(name) for name in rng.permutation(config.clutter) if name != model.name]
@@ -103,20 +102,20 @@ def make_scene(seed: int, config: TableShelfConfig | None = None) -> TableShelfS
 
 
 class _Area:
-    """A rectangle that objects are placed on, and what stands there already."""
+    """A rectangle for objects, and the objects already on it."""
 
     def __init__(self, center: np.ndarray, yaw: float, size: np.ndarray, height: float, gap: float) -> None:
         self.center, self.yaw, self.size, self.height, self.gap = center, yaw, size, height, gap
         self.placed: list[np.ndarray] = []
 
     def draw(self, rng: np.random.Generator, resting: RestingPose) -> _Draws:
-        """Random turns, and random positions at which the footprint is inside the rectangle."""
+        """Random yaws and positions at which the footprint is inside the rectangle."""
         return self.turned(rng, resting, rng.uniform(-np.pi, np.pi, _TRIES))
 
     def turned(
         self, rng: np.random.Generator, resting: RestingPose, yaws: Float[np.ndarray, " T"], side_gap: float = 0.0
     ) -> _Draws:
-        """Given turns, and random positions, a gap being left on the sides at least and greatest local y."""
+        """Given yaws and random positions, with a gap on both sides in local y."""
         footprints = np.einsum("tij,kj->tki", turn(yaws), resting.footprint)
         inside = self.size / 2 - [0.0, side_gap]
         low, high = -inside - footprints.min(axis=1), inside - footprints.max(axis=1)
@@ -124,7 +123,7 @@ class _Area:
         return _Draws(yaws, positions, footprints, low, (low <= high).all(axis=1))
 
     def put(self, resting: RestingPose, draws: _Draws) -> Pose | None:
-        """Take the first draw that is inside and free; its pose in the world, or None if there is none."""
+        """Occupy the first draw that is inside and free; its pose in the world, or None."""
         polygons = draws.footprints + draws.positions[:, None]
         free = draws.inside.copy()
         for other in self.placed:
@@ -142,7 +141,7 @@ class _Area:
 
 @dataclass(eq=False)
 class _Draws:
-    """T random placements: turns (T,), positions (T, 2), footprints (T, K, 2) turned only, least positions (T, 2)."""
+    """T random placements: yaws (T,), positions (T, 2), rotated footprints (T, K, 2), least positions (T, 2)."""
 
     yaws: np.ndarray
     positions: np.ndarray
@@ -152,22 +151,22 @@ class _Draws:
 
 
 def _place_target(rng: np.random.Generator, model: ObjectModel, area: _Area, config: TableShelfConfig) -> PlacedObject:
-    # As it lies, the gripper has to fit over it: an object flat on its largest face cannot be taken by any plan.
+    # The gripper has to fit over the lying target: no plan grasps an object flat on its largest face.
     limit = config.max_opening - config.opening_margin
     poses = [pose for pose in resting_poses(model) if pose.level_width <= limit]
-    poses = poses or [pose for pose in resting_poses(model) if over_a_part(model, pose, limit)]
+    poses = poses or [pose for pose in resting_poses(model) if graspable_by_part(model, pose, limit)]
     resting = _draw_resting(rng, poses, config.landing_weight)
     draws = area.draw(rng, resting)
     draws.inside &= np.linalg.norm(area.center + draws.positions, axis=1) <= config.pick_reach
     pose = area.put(resting, draws)
     if pose is None:
-        raise SceneError(f"no place for {model.name!r} on the pick area of {config.pick_size} m; make it larger")
+        raise SceneError(f"no place for {model.name!r} on the pick area of {config.pick_size} m; raise pick_size")
     return PlacedObject(model, pose)
 
 
 def _place_goal(rng: np.random.Generator, model: ObjectModel, board: _Area, config: TableShelfConfig) -> Pose:
     resting = upright_pose(model)
-    assert resting is not None, "the config has checked that its targets stand upright"
+    assert resting is not None, "the config checks that targets stand upright"
     across = resting.level_axis
     facing = np.pi / 2 - np.arctan2(across[1], across[0]) + np.pi * rng.integers(0, 2, _TRIES)
     yaws = facing + rng.uniform(-config.goal_yaw, config.goal_yaw, _TRIES)
@@ -178,7 +177,7 @@ def _place_goal(rng: np.random.Generator, model: ObjectModel, board: _Area, conf
     )
     pose = board.put(resting, draws)
     if pose is None:
-        raise SceneError(f"no place for {model.name!r} on the shelf of {config.shelf_inside} m; make it larger")
+        raise SceneError(f"no place for {model.name!r} on the shelf of {config.shelf_inside} m; raise shelf_inside")
     return pose
 
 
@@ -189,13 +188,13 @@ def _scatter(
     area: _Area,
     choose: Callable[[ObjectModel], RestingPose | None],
 ) -> tuple[PlacedObject, ...]:
-    """Place ``count`` of the named objects, the first ones that fit, at random in what is free of an area."""
+    """Place the first ``count`` named objects that fit, at random in the free part of an area."""
     placed: list[PlacedObject] = []
     for name in names[: count + _SPARE]:
         if len(placed) == count:
             break
         resting = choose(OBJECTS[name])
-        assert resting is not None, "the config has checked that its shelf objects stand upright"
+        assert resting is not None, "the config checks that shelf objects stand upright"
         pose = area.put(resting, area.draw(rng, resting))
         if pose is not None:
             placed.append(PlacedObject(OBJECTS[name], pose))
@@ -208,7 +207,7 @@ def _draw_resting(rng: np.random.Generator, poses: Sequence[RestingPose], weight
 
 
 def _shelf_area(config: TableShelfConfig) -> _Area:
-    """The shelf's board; local x points away from the robot, so that the front edge is at the least x."""
+    """The shelf's board. Local x points away from the robot, so the front edge has the least x."""
     width, depth = config.shelf_inside
     center = np.array(config.shelf_center)
     return _Area(center, _shelf_yaw(config), np.array([depth, width]), config.board_height, config.goal_gap)
@@ -224,7 +223,7 @@ def _fixtures(config: TableShelfConfig) -> tuple[Fixture, ...]:
     inside, depth = config.shelf_inside
     t, low, yaw = config.shelf_thickness, config.board_height, _shelf_yaw(config)
     top = low + config.shelf_clearance
-    # name, material, size along depth, width and height, middle in the shelf's frame
+    # name, material, size along depth, width and height, centre in the shelf's frame
     parts = (
         ("shelf_board", "shelf", (depth, inside, t), (0, 0, low - t / 2)),
         ("shelf_roof", "shelf", (depth + t, inside + 2 * t, t), (t / 2, 0, top + t / 2)),

@@ -1,4 +1,4 @@
-"""What can be tuned about the Panda's scenes; see `table_shelf`."""
+"""Parameters of the Panda's scenes; see `table_shelf`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from regrasp_gym.checks import check_names, check_ranges
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.objects.ycb import OBJECTS
-from regrasp_gym.scenes.graspable import over_a_part
+from regrasp_gym.scenes.graspable import graspable_by_part
 from regrasp_gym.scenes.resting import least_width, resting_poses, upright_pose
 
 TARGETS = (
@@ -22,8 +22,7 @@ TARGETS = (
     "065-a_cups",
     "077_rubiks_cube",
 )
-"""Objects that "upright" means something for and that the gripper can take."""
-
+"""Objects that have an upright pose and fit the gripper."""
 
 SHELF_OBJECTS = (
     *TARGETS,
@@ -35,42 +34,40 @@ SHELF_OBJECTS = (
     "055_baseball",
     "056_tennis_ball",
 )
-"""Objects that may stand on the shelf: tall or round ones, nothing that lies."""
-
+"""Objects that may stand on the shelf: tall or round ones, nothing flat."""
 
 CLUTTER = tuple(name for name in OBJECTS if name != "025_mug")
-"""Objects that may lie about. With the mug every seed would give another scene: it is for configs that name it."""
+"""Objects on the table. The mug is left out: adding it would change the scene of every seed."""
 
 
 @dataclass(frozen=True)
 class TableShelfConfig:
-    """Everything about the scenes that can be tuned. Lengths in metres, angles in radians, ranges inclusive.
+    """Parameters of the scenes. Lengths in metres, angles in radians, ranges inclusive.
 
     Attributes:
-        targets: names of the objects that may have to be moved.
-        clutter: names of the objects that may lie around it on the table.
+        targets: names of the objects that may be the target.
+        clutter: names of the other objects that may lie on the table.
         shelf_objects: names of the objects that may stand on the shelf.
         table_clutter: least and most objects on the table besides the target.
         shelf_clutter: least and most objects on the shelf.
-        pick_center, pick_size: rectangle on the table in which all objects start, middle and full size.
+        pick_center, pick_size: centre and full size of the rectangle on the table that all objects start in.
         pick_gap: least gap between two objects on the table, seen from above.
         pick_reach: largest horizontal distance of the target's start from the robot's base.
-        landing_weight: a resting pose is drawn with its landing probability to this power: 1 as objects fall,
-            0 all alike.
-        release_center, release_size: rectangle on the table that is kept free, middle and full size.
-        table_center, table_size: middle of the table top, and its length, width and thickness.
-        shelf_center: middle of the shelf's board on the table plane. The opening faces the robot's base.
+        landing_weight: a resting pose is drawn by its landing probability to this power: 1 is as objects fall, 0 is
+            uniform.
+        release_center, release_size: centre and full size of the rectangle on the table kept free.
+        table_center, table_size: centre of the table top, and its length, width and thickness.
+        shelf_center: centre of the shelf's board on the table plane. The opening faces the robot's base.
         shelf_inside: width and depth of the board between the walls.
-        board_height: of the upper face of the board above the table.
+        board_height: height of the board's upper face above the table.
         shelf_clearance: free height between the board and the roof.
-        shelf_thickness: of all boards and walls.
+        shelf_thickness: thickness of all boards and walls.
         goal_gap: least gap between the target at its goal and its neighbours on the shelf, seen from above.
         goal_depth: least and most distance of the goal's footprint from the board's front edge.
         goal_wall_gap: least gap between the target at its goal and the side walls of the shelf.
-        goal_yaw: at its goal the target is turned by up to ± this, at most a right angle, from where the gripper would
-            take it straight from the front by its narrow sides, with either of these to the left.
-        max_opening: of the gripper; targets must have less least width than this minus ``opening_margin``.
-        opening_margin: see ``max_opening``.
+        goal_yaw: largest turn of the goal, to either side and at most a right angle, from facing a gripper that comes
+            straight from the front with its narrow sides. Either narrow side may be on the left.
+        max_opening, opening_margin: opening of the gripper, and how much narrower a target must be.
     """
 
     targets: tuple[str, ...] = TARGETS
@@ -111,21 +108,21 @@ class TableShelfConfig:
 
 
 def check_target(model: ObjectModel, config: TableShelfConfig) -> None:
-    """Raise `SceneError` if the object cannot be a target: too wide for the gripper, or it does not stand upright.
+    """Raise `SceneError` if the object cannot be a target: too wide for the gripper, or not upright by itself.
 
-    A hollow object may be wider than the gripper opens, if the gripper can take it by a part such as its rim.
+    A hollow object may be wider than the gripper opens if a part such as its rim fits.
     """
     width, limit = least_width(model), config.max_opening - config.opening_margin
-    if width > limit and not any(over_a_part(model, pose, limit) for pose in resting_poses(model)):
+    if width > limit and not any(graspable_by_part(model, pose, limit) for pose in resting_poses(model)):
         raise SceneError(
-            f"target {model.name!r} is {1e3 * width:.0f} mm wide where it is thinnest; "
+            f"target {model.name!r} is {1e3 * width:.0f} mm wide at its thinnest; "
             f"the gripper takes at most {1e3 * limit:.0f} mm"
         )
     upright = upright_pose(model)
     if upright is None:
         raise SceneError(f"target {model.name!r} does not stand upright by itself; choose one that does")
-    if upright.level_width > limit and not over_a_part(model, upright, limit):
+    if upright.level_width > limit and not graspable_by_part(model, upright, limit):
         raise SceneError(
-            f"target {model.name!r} is {1e3 * upright.level_width:.0f} mm wide where it is thinnest as it stands "
+            f"target {model.name!r} is {1e3 * upright.level_width:.0f} mm wide at its thinnest when "
             f"upright; the gripper takes at most {1e3 * limit:.0f} mm"
         )

@@ -1,70 +1,38 @@
-"""What makes one scenario of pick-and-place with regrasp differ from another, as data."""
+"""A scenario of pick-and-place with regrasp, as data."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from regrasp_gym.rendering.setting import TABLE_TOP, Camera, Setting
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_gym.scenes.scene import Scene
-
-if TYPE_CHECKING:
-    from regrasp_planner.robot.model import Robot
-
-
-@dataclass(frozen=True, eq=False)
-class RobotSetup:
-    """A robot as the environment drives it: names in its MuJoCo specification, and limits.
-
-    Attributes:
-        build_spec: a new specification of the robot alone.
-        planner_robot: makes the planner's `Robot` from the same specification.
-        arm_joints, arm_actuators: n names each, base to wrist; ctrl is the joint's position, radians.
-        finger_joints: names of the finger joints, driven as one.
-        gripper_actuator: name; ctrl is the finger coordinate θ.
-        tcp_site: site of the gripper frame.
-        home: (n,) configuration at the start of an episode, radians.
-        max_velocity: (n,) fastest that the commanded joint positions move, rad/s.
-        theta_range: least and greatest θ; greater is wider. Metres for sliding fingers, radians for jaws.
-    """
-
-    build_spec: Callable[[], mujoco.MjSpec]
-    planner_robot: Callable[[], Robot]
-    arm_joints: tuple[str, ...]
-    arm_actuators: tuple[str, ...]
-    finger_joints: tuple[str, ...]
-    gripper_actuator: str
-    tcp_site: str
-    home: Float[np.ndarray, " n"]
-    max_velocity: Float[np.ndarray, " n"]
-    theta_range: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A robot, its scenes, and the conventions of the environment around them.
+    """A robot, its scenes and the environment's conventions.
 
     Attributes:
         robot: the robot.
-        make_scene: (seed, config) → scene; config None stands for the default one.
+        make_scene: (seed, config) → scene; None is the default config.
         control_period: seconds per environment step.
         tolerance: when the target counts as placed.
-        arrival: largest joint error at which a motion counts as finished, radians.
-        pace: how much longer things take to come to rest than on a table-top: gravity moves what is ten times as large
-            √10 times as slowly.
+        arrival: largest joint error of a finished motion, radians.
+        pace: time to come to rest in units of that on a table top: gravity moves objects ten times as large √10 times
+            as slowly.
         max_others: number of objects besides the target that observations have room for.
         translation_step: largest move of the gripper per step under ``ee_delta``, metres.
         rotation_step: largest turn of the gripper per step under ``ee_delta``, radians.
-        cameras: cameras fixed in the world; the robot's specification may bring more.
+        cameras: cameras fixed in the world; the robot's specification may have more.
         pixels: names of the cameras in observations with pixels.
-        floor_height: of the floor, metres.
-        setting: what the scenes are lit and surrounded by.
-        held: whether the target is to be held at the goal, instead of let go there.
+        floor_height: height of the floor, metres.
+        setting: light and surroundings.
+        held: whether the target has to be held at the goal, instead of released there.
     """
 
     robot: RobotSetup
@@ -85,15 +53,15 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """When the target counts as placed, and the lengths that the dense reward is shaped by.
+    """When the target counts as placed, and the lengths of the dense reward.
 
     Attributes:
         position: largest distance from the goal, metres.
         rotation: largest angle from the goal, radians.
         speed: largest speed of a target at rest, m/s.
         turn_rate: largest angular speed of a target at rest, rad/s.
-        lever: metres that a radian of misalignment counts in the dense reward: half the size of a larger object.
-        length: metres at which the dense reward's terms have fallen to 1 − tanh 1 = 24 %.
+        lever: metres per radian of misalignment in the dense reward: half the size of a larger object.
+        length: distance at which the terms of the dense reward fall to 1 − tanh 1 = 24 %, metres.
     """
 
     position: float = 0.025

@@ -1,4 +1,4 @@
-"""The physics of one scene: its model, its state, and where in them things are."""
+"""The physics of one scene: model and state, by the names of robot and objects."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from jaxtyping import Float
 from regrasp_gym.errors import SceneError, StateError
 from regrasp_gym.geometry.poses import Pose, canonical, mujoco_quaternion
 from regrasp_gym.rendering.setting import GOAL_GROUP, GOAL_RGBA, add_visuals
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_gym.scenes.scene import Fixture, Scene
 from regrasp_gym.simulation import physics
-from regrasp_gym.simulation.scenario import RobotSetup, Scenario
+from regrasp_gym.simulation.scenario import Scenario
 
 _GOAL = "goal"
-
+"""Name of the body that shows the goal."""
 
 _TOUCHING = 1e-5
+"""Largest gap of bodies that count as touching, metres."""
 
 _PLANE = mujoco.mjtGeom.mjGEOM_PLANE
 
@@ -26,7 +28,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 def base_spec(scenario: Scenario, *, buffer_width: int, buffer_height: int) -> mujoco.MjSpec:
-    """The robot, the light, the floor and the cameras: all that the scenes of a scenario have in common.
+    """The robot, light, floor and cameras that all scenes of a scenario share.
 
     Args:
         scenario: the scenario.
@@ -40,7 +42,7 @@ def base_spec(scenario: Scenario, *, buffer_width: int, buffer_height: int) -> m
 
 
 class World:
-    """A scene in MuJoCo, the robot at home and every object where the scene says.
+    """A scene in MuJoCo, with the robot at home and every object at its start.
 
     Args:
         base: from `base_spec`; copied, not changed.
@@ -48,7 +50,7 @@ class World:
         scene: the scene.
 
     Raises:
-        SceneError: two things of the scene have the same name, or its model does not compile.
+        SceneError: two bodies of the scene have the same name, or the model does not compile.
     """
 
     def __init__(self, base: mujoco.MjSpec, robot: RobotSetup, scene: Scene) -> None:
@@ -66,38 +68,38 @@ class World:
 
     @property
     def joint_positions(self) -> Float[np.ndarray, " n"]:
-        """(n,) of the arm, radians."""
+        """(n,) joint positions of the arm, radians."""
         return self.data.qpos[self._arm_qpos]
 
     @property
     def joint_limits(self) -> Float[np.ndarray, "2 n"]:
-        """(2, n) least and greatest position of the arm's joints, radians."""
+        """(2, n) least and greatest joint positions of the arm, radians."""
         return np.array([self.model.joint(name).range for name in self.robot.arm_joints]).T
 
     @property
     def joint_velocities(self) -> Float[np.ndarray, " n"]:
-        """(n,) of the arm, rad/s."""
+        """(n,) joint velocities of the arm, rad/s."""
         return self.data.qvel[self._arm_dof]
 
     @property
     def theta(self) -> float:
-        """Finger coordinate θ: mean of the finger joints."""
+        """Finger coordinate θ: mean of the finger joints, metres or radians."""
         return float(self.data.qpos[self._finger_qpos].mean())
 
     @property
     def theta_rate(self) -> float:
-        """dθ/dt."""
+        """Rate dθ/dt: mean of the finger joints, m/s or rad/s."""
         return float(self.data.qvel[self._finger_dof].mean())
 
     @property
     def gripper_pose(self) -> Pose:
-        """(7,) of the gripper frame, world."""
+        """(7,) pose of the gripper frame, world."""
         quaternion = mujoco_quaternion(self.data.site_xmat[self._site])
         return canonical(np.concatenate([quaternion, self.data.site_xpos[self._site]]))
 
     @property
     def target_pose(self) -> Pose:
-        """(7,) of the target, world."""
+        """(7,) pose of the target, world."""
         return self._pose_of(self._target_qpos)
 
     @property
@@ -110,7 +112,7 @@ class World:
 
     @property
     def other_poses(self) -> Float[np.ndarray, "m 7"]:
-        """(m, 7) of the other objects in the scene's order, world."""
+        """(m, 7) poses of the other objects in the scene's order, world."""
         return np.array([self._pose_of(address) for address in self._other_qpos]).reshape(-1, 7)
 
     def target_contacts(self) -> tuple[bool, bool]:
@@ -122,7 +124,7 @@ class World:
         robot = self._is_robot[others]
         if len(robot):
             return bool(robot.any()), bool((~robot).any())
-        # What was put down exactly makes contact only once it has sunk in by a hair.
+        # An object placed exactly on a surface makes contact only after it sinks in slightly.
         return False, self._target_is_put_down()
 
     def _target_is_put_down(self) -> bool:
@@ -134,7 +136,7 @@ class World:
         )
 
     def set_robot(self, joints: Float[np.ndarray, " n"], theta: float) -> None:
-        """Put the robot somewhere else, at rest, its set points with it. For pictures; no episode does this."""
+        """Move the robot and its set points, at rest. For pictures only: no episode does this."""
         self.data.qpos[self._arm_qpos] = joints
         self.data.qpos[self._finger_qpos] = theta
         self.data.qvel[self._arm_dof] = 0.0
@@ -143,9 +145,9 @@ class World:
         self.refresh()
 
     def set_object_pose(self, name: str, pose: Pose, velocity: Float[np.ndarray, " 6"] | None = None) -> None:
-        """Put an object somewhere else, at rest unless a velocity (m/s, rad/s, world) is given.
+        """Move an object, at rest unless a velocity (m/s, rad/s, world) is given.
 
-        For tests and for tools that look at states; nothing in an episode does this.
+        For tests and for tools that inspect states: no episode does this.
         """
         joint = self.model.joint(f"{name}_joint")
         pose = np.asarray(pose, float)
@@ -161,7 +163,7 @@ class World:
     # Time -------------------------------------------------------------------------------------------------------
 
     def run(self, start: Float[np.ndarray, " n+1"], end: Float[np.ndarray, " n+1"], steps: int) -> None:
-        """Simulate ``steps`` physics steps while the actuators' set points go from ``start`` to ``end``."""
+        """Simulate ``steps`` physics steps while the set points move linearly from ``start`` to ``end``."""
         for k in range(1, steps + 1):
             self.set_command(start + (end - start) * (k / steps))
             mujoco.mj_step(self.model, self.data)
@@ -172,24 +174,26 @@ class World:
         self.data.ctrl[self._command_ctrl] = command
 
     def refresh(self) -> None:
-        """Bring body poses and contacts up to the joint positions: a physics step leaves them one step behind."""
+        """Update body poses and contacts, which a physics step leaves one step behind."""
         mujoco.mj_fwdPosition(self.model, self.data)
 
     def get_state(self) -> Float[np.ndarray, " s"]:
-        """All that the physics depends on, in one array."""
+        """The full state of the physics, mjSTATE_INTEGRATION."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
         return state
 
     def set_state(self, state: Float[np.ndarray, " s"]) -> None:
-        """Restore what `get_state` gave for the same scene.
+        """Restore a state from `get_state` of the same scene.
 
         Raises:
-            StateError: the state is of another scene.
+            StateError: the state has another size, so it is another scene's.
         """
         size = mujoco.mj_stateSize(self.model, _STATE)
         if np.shape(state) != (size,):
-            raise StateError(f"physics state has shape {np.shape(state)}, this scene's has ({size},)")
+            raise StateError(
+                f"physics state has shape {np.shape(state)}, this scene's has ({size},); restore it in its own scene"
+            )
         mujoco.mj_setState(self.model, self.data, state, _STATE)
         self.refresh()
 
@@ -217,11 +221,11 @@ class World:
 
     @cached_property
     def object_sizes(self) -> Float[np.ndarray, "m+1 3"]:
-        """(m + 1, 3) full extents of the target and of the others along the axes of their frames, metres."""
+        """(m + 1, 3) full extents of the target and the others along their own axes, metres."""
         return np.array([thing.model.size for thing in (self.scene.target, *self.scene.others)])
 
     def _pose_of(self, address: int) -> Pose:
-        # From qpos, not xpos, which is rounded differently after a state is restored.
+        # From qpos: xpos rounds differently after a state is restored.
         position, quaternion = self.data.qpos[address : address + 3], self.data.qpos[address + 3 : address + 7]
         return canonical(np.concatenate([quaternion, position]))
 
@@ -231,7 +235,7 @@ def _compile(base: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
     names = [_GOAL, *(thing.name for thing in (*things, *scene.fixtures))]
     for name in names:
         if names.count(name) > 1 or base.body(name) is not None:
-            raise SceneError(f"the scene has two bodies called {name!r}; give each thing a name of its own")
+            raise SceneError(f"the scene has two bodies named {name!r}; give each a unique name")
     spec = base.copy()
     for fixture in scene.fixtures:
         add_fixture(spec, fixture)
@@ -241,11 +245,13 @@ def _compile(base: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise SceneError(f"the scene of seed {scene.seed} does not compile: {error}") from error
+        raise SceneError(
+            f"the scene of seed {scene.seed} does not compile ({error}); check its objects' meshes and masses"
+        ) from error
 
 
 def add_fixture(spec: mujoco.MjSpec, fixture: Fixture) -> None:
-    """Add a fixture to ``spec``, a body and a geom of its name."""
+    """Add a fixture to ``spec`` as a body and a geom, both of its name."""
     body = spec.worldbody.add_body(name=fixture.name, pos=fixture.pose[4:], quat=fixture.pose[:4])
     body.add_geom(
         name=fixture.name,
@@ -258,7 +264,7 @@ def add_fixture(spec: mujoco.MjSpec, fixture: Fixture) -> None:
 
 
 def _add_goal(spec: mujoco.MjSpec, scene: Scene) -> None:
-    """A ghost of the target at the goal, for pictures only."""
+    """Add a translucent copy of the target at the goal, for pictures only."""
     ghost = scene.target.model.add_to(spec, _GOAL, scene.goal_pose, free=False)
     for geom in list(ghost.geoms):
         if geom.contype == geom.conaffinity == 0:

@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
+from robot_alone import at_rest
 
 from regrasp_gym.robots import excavator
-from regrasp_gym.simulation import physics
 
-STEP = physics.TIMESTEP
 CLOSED, OPEN = excavator.THETA_RANGE
 BODIES = ("chassis", "house", "boom", "arm", "tool_pitch", "tool_tilt", "tool_rotate", "gripper")
 JAWS = ("left_jaw", "right_jaw")
@@ -22,23 +21,11 @@ def compiled(
     spec: mujoco.MjSpec | None = None, home: np.ndarray = excavator.HOME
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The machine at rest with open jaws, commanded to stay there."""
-    spec = excavator.build_spec() if spec is None else spec
-    physics.configure(spec)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    pose(data, home, OPEN)
-    data.ctrl[:6], data.ctrl[6] = home, OPEN
-    mujoco.mj_forward(model, data)
-    return model, data
+    return at_rest(excavator.EXCAVATOR, spec, home)
 
 
 def pose(data: mujoco.MjData, q: np.ndarray, theta: float) -> None:
     data.qpos[:6], data.qpos[6:8] = q, theta
-
-
-def step(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
-    for _ in range(round(seconds / STEP)):
-        mujoco.mj_step(model, data)
 
 
 def random_configurations(model: mujoco.MjModel, count: int) -> list[tuple[np.ndarray, float]]:

@@ -1,4 +1,4 @@
-"""What the tests of the environments have to know of each scenario: the same tests run for all of them."""
+"""Facts of each scenario for the environments' tests, which run for all scenarios."""
 
 from __future__ import annotations
 
@@ -30,23 +30,21 @@ class Facts:
     """One scenario.
 
     Attributes:
-        name: of the test cases.
-        env_id: Gymnasium id.
-        env_class: what it makes.
+        name: Gymnasium id without namespace and version; names the test cases.
+        env_class: the environment.
         scenario: the scenario.
         steps: time limit, environment steps.
         supports: fixtures that objects may rest on.
         cameras: names of all cameras.
-        bare: config of scenes in which nothing is but the target.
-        held_box: (3,) edges of a box that fits between the open fingers, metres, and its mass, kilograms.
-        closing_steps: environment steps that the fingers take to close.
-        out_of_reach: a point in the air that the gripper does not get to, metres.
-        direct_seed: a scene that one grasp is enough for.
-        regrasp_seed: a scene that the expert solves with two.
+        bare: config of scenes with nothing but the target.
+        held_box: (3,) edges (metres) and mass (kilograms) of a box that fits between the open fingers.
+        closing_steps: environment steps that the fingers need to close.
+        out_of_reach: an unreachable point in the air, metres.
+        direct_seed: a scene that needs one grasp.
+        regrasp_seed: a scene that the expert solves with two grasps.
     """
 
     name: str
-    env_id: str
     env_class: type[RegraspEnv]
     scenario: Scenario
     steps: int
@@ -60,13 +58,18 @@ class Facts:
     regrasp_seed: int
 
     @property
+    def env_id(self) -> str:
+        """Gymnasium id."""
+        return f"regrasp_gym/{self.name}-v0"
+
+    @property
     def joints(self) -> int:
-        """How many the arm has."""
+        """Number of the arm's joints."""
         return len(self.scenario.robot.arm_joints)
 
     @property
     def layouts(self) -> dict[str, tuple[tuple[str, int], ...]]:
-        """Layout of each vector in observations."""
+        """Layout of each vector of the observations."""
         return {
             "observation": observation.state_layout(self.joints, self.scenario.max_others),
             "agent_pos": observation.agent_layout(self.joints),
@@ -82,7 +85,7 @@ class Facts:
         return self.scenario.make_scene(seed, None)
 
     def with_box(self, seed: int) -> Scene:
-        """The scene of a seed with `held_box` for its target."""
+        """The scene of a seed with `held_box` as its target."""
         edges, mass = self.held_box
         corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * edges
         scene = self.scene(seed)
@@ -91,8 +94,7 @@ class Facts:
 
 
 PANDA = Facts(
-    name="panda",
-    env_id="regrasp_gym/PandaYCB-v0",
+    name="PandaYCB",
     env_class=PandaYCBEnv,
     scenario=PANDA_YCB,
     steps=1000,
@@ -107,12 +109,10 @@ PANDA = Facts(
 )
 
 EXCAVATOR = Facts(
-    name="excavator",
-    env_id="regrasp_gym/ExcavatorStones-v0",
+    name="ExcavatorStones",
     env_class=ExcavatorStonesEnv,
     scenario=EXCAVATOR_STONES,
     steps=2000,
-    # Its stones are made for the scene.
     supports=frozenset({"ground", "pick_slope", "place_slope"}),
     cameras=("site", "cab", "overview"),
     bare=SlopesConfig(pick_stones=(0, 0), place_stones=(0, 0), on_top=0.0),
@@ -127,20 +127,20 @@ SCENARIOS = (PANDA, EXCAVATOR)
 
 
 def still(env: gym.Env) -> np.ndarray:
-    """The action that keeps the commanded position, the fingers open."""
+    """The action that keeps the commanded position with open fingers."""
     inner = env.unwrapped
     return inner.command.astype(np.float32) if inner.control_mode == "joint_pos" else np.eye(7, dtype=np.float32)[6]
 
 
 def nudged(env: gym.Env, by: float) -> np.ndarray:
-    """The last command with every joint moved as far as it gets in this many seconds, in turn to either side."""
+    """The last command with every joint moved for this many seconds at full speed, to alternating sides."""
     command, speed = env.unwrapped.command, env.unwrapped.scenario.robot.max_velocity
     command[:-1] += by * speed * np.resize([1.0, -1.0], len(speed))
     return command
 
 
 def assert_equal(a: Any, b: Any) -> None:
-    """Equal to the last bit, through dictionaries."""
+    """Equal to the last bit, including in dictionaries."""
     if isinstance(a, dict):
         assert a.keys() == b.keys()
         for key in a:

@@ -1,6 +1,6 @@
-"""A third robot, as somebody else would add it: an arm of a UR5e's dimensions with a parallel gripper, on the table.
+"""A third-party robot: an arm of a UR5e's dimensions with a parallel gripper, on the table.
 
-The files that `docs/adding-a-robot.md` names are sections of this one.
+Each section stands for one of the files in `docs/adding-a-robot.md`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from gymnasium.envs.registration import WrapperSpec
 
 from regrasp_gym.envs.base import RegraspEnv
 from regrasp_gym.envs.panda_ycb import PANDA_YCB
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig
-from regrasp_gym.simulation.scenario import RobotSetup
-from regrasp_planner import Robot
 
 ENV_ID = "third_party/URYCB-v0"
 
@@ -26,9 +25,9 @@ ENV_ID = "third_party/URYCB-v0"
 XML = """
 <mujoco model="ur">
   <!-- Frames and masses: Universal Robots, "DH Parameters for calculations of kinematics and dynamics", UR5e:
-  d1 = 0.1625, a2 = -0.425, a3 = -0.3922, d4 = 0.1333, d5 = 0.0997, d6 = 0.0996 m. A body's frame is that of the joint
-  that moves it, z its axis. Ranges, speeds and torques: UR5e data sheet (the elbow, which cannot pass the upper arm,
-  half a turn); the ranges of the others are cut to half a turn, too, beyond which there are the same poses again.
+  d1 = 0.1625, a2 = -0.425, a3 = -0.3922, d4 = 0.1333, d5 = 0.0997, d6 = 0.0996 m. A body's frame is that of its joint,
+  z the joint's axis. Ranges, speeds and torques: UR5e data sheet (the elbow cannot pass the upper arm: half
+  a turn each way); the other ranges are cut to the same, since a longer range only repeats poses.
   Shapes, armatures, gains and the gripper: estimates. -->
   <compiler angle="radian" autolimits="true"/>
   <default>
@@ -48,7 +47,7 @@ XML = """
     </default>
   </default>
   <worldbody>
-    <!-- Half a turn, as the negative lengths point the arm to the back. -->
+    <!-- Half a turn: the negative lengths point the arm backwards. -->
     <body name="base" childclass="ur" quat="0 0 0 1" gravcomp="1">
       <geom name="base_c" size="0.07" fromto="0 0 0.07 0 0 0.08" mass="4"/>
       <body name="shoulder" pos="0 0 0.1625" gravcomp="1">
@@ -79,15 +78,7 @@ XML = """
                     <body name="right_finger" quat="0 0 0 1" gravcomp="1">
                       <joint name="right_slide" class="finger"/>
                       <geom name="right_pad" class="finger"/>
-                    </body>
-                  </body>
-                </body>
-              </body>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
+                    </body></body></body></body></body></body></body></body></body>
   </worldbody>
   <contact>
     <!-- The base is fixed to the world, so MuJoCo does not filter it from its child. -->
@@ -123,11 +114,11 @@ OPEN_THETA = 0.0425
 
 D1, A2, A3, D4, D5, D6 = 0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996
 DH = ((D1, 0, np.pi / 2), (0, A2, 0), (0, A3, 0), (D4, 0, np.pi / 2), (D5, 0, -np.pi / 2), (D6, 0, 0))
-"""d, a, α of each joint, metres and radians: for the test only."""
+"""d, a, α of each joint, metres and radians; the test compares the kinematics with them."""
 
 
 def build_spec() -> mujoco.MjSpec:
-    """A new specification of the robot alone; it looks like its collision shapes."""
+    """A new specification of the robot alone; its collision shapes are also its visible ones."""
     spec = mujoco.MjSpec.from_string(XML)
     for geom in list(spec.geoms):
         look = {"type": geom.type, "size": geom.size, "pos": geom.pos, "quat": geom.quat, "rgba": geom.rgba}
@@ -137,41 +128,26 @@ def build_spec() -> mujoco.MjSpec:
     return spec
 
 
-def planner_robot() -> Robot:
-    """The robot as the planner sees it."""
-    from regrasp_gym.robots.planner_robot import robot_from_model
-
-    return robot_from_model(
-        build_spec().compile(),
-        name="ur",
-        base="base",
-        joints=ARM_JOINTS,
-        tool_site="tcp",
-        finger_joints=FINGER_JOINTS,
-        pads=("left_pad", "right_pad"),
-        max_velocity=MAX_VELOCITY,
-        max_acceleration=MAX_ACCELERATION,
-        home=HOME,
-    )
-
-
-# envs/ur_ycb.py -----------------------------------------------------------------------------------------------------
-
 UR = RobotSetup(
+    name="ur",
     build_spec=build_spec,
-    planner_robot=planner_robot,
+    base="base",
     arm_joints=ARM_JOINTS,
     arm_actuators=ARM_JOINTS,
     finger_joints=FINGER_JOINTS,
+    pads=("left_pad", "right_pad"),
     gripper_actuator="gripper",
     tcp_site="tcp",
     home=HOME,
     max_velocity=MAX_VELOCITY,
+    max_acceleration=MAX_ACCELERATION,
     theta_range=(0.0, OPEN_THETA),
 )
 
+# envs/ur_ycb.py -----------------------------------------------------------------------------------------------------
+
 UR_YCB = dataclasses.replace(PANDA_YCB, robot=UR, pixels=("front",))
-"""The scenes of the Panda, at the same rate and with the same tolerance."""
+"""The Panda's scenes, rate and tolerance."""
 
 
 class URYCBEnv(RegraspEnv):

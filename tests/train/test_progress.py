@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from regrasp_train.progress import HELD_STEPS, Progress, Reached
+from regrasp_train.progress import HELD_STEPS, Milestone, Progress
 
 HELD, LYING, TOUCHED, FALLING = (True, False), (False, True), (True, True), (False, False)
 
@@ -21,20 +21,20 @@ def watched(*contacts, success=False, speed=0.0):
         )
         scenario = SimpleNamespace(tolerance=SimpleNamespace(speed=0.01))
         progress.watch(SimpleNamespace(is_success=success, world=world, scenario=scenario))
-    return progress.reached
+    return progress.milestone
 
 
 @pytest.mark.parametrize(
     ("contacts", "reached"),
     [
-        ([LYING] * 5, Reached.NOTHING),
-        ([TOUCHED] * 5, Reached.NOTHING),
-        ([HELD] * (HELD_STEPS - 1) + [LYING] * 3, Reached.NOTHING),
-        ([HELD] * HELD_STEPS, Reached.TAKEN),
-        ([HELD] * HELD_STEPS + [FALLING] * 3, Reached.TAKEN),
-        ([HELD] * HELD_STEPS + [TOUCHED, LYING], Reached.PUT_DOWN),
-        (([HELD] * HELD_STEPS + [LYING]) * 2, Reached.RETAKEN),
-        ([LYING, HELD, LYING, HELD, LYING], Reached.NOTHING),
+        ([LYING] * 5, Milestone.NOTHING),
+        ([TOUCHED] * 5, Milestone.NOTHING),
+        ([HELD] * (HELD_STEPS - 1) + [LYING] * 3, Milestone.NOTHING),
+        ([HELD] * HELD_STEPS, Milestone.TAKEN),
+        ([HELD] * HELD_STEPS + [FALLING] * 3, Milestone.TAKEN),
+        ([HELD] * HELD_STEPS + [TOUCHED, LYING], Milestone.PUT_DOWN),
+        (([HELD] * HELD_STEPS + [LYING]) * 2, Milestone.RETAKEN),
+        ([LYING, HELD, LYING, HELD, LYING], Milestone.NOTHING),
     ],
 )
 def test_steps_in_order(contacts, reached):
@@ -42,9 +42,9 @@ def test_steps_in_order(contacts, reached):
 
 
 def test_a_target_that_slides_is_not_put_down():
-    assert watched(*[HELD] * HELD_STEPS, LYING, speed=0.1) is Reached.TAKEN
+    assert watched(*[HELD] * HELD_STEPS, LYING, speed=0.1) is Milestone.TAKEN
 
 
 def test_success_is_the_last_step():
-    assert watched(LYING, success=True) is Reached.PLACED
-    assert str(Reached.RETAKEN) == "re-taken"
+    assert watched(LYING, success=True) is Milestone.PLACED
+    assert str(Milestone.RETAKEN) == "re-taken"

@@ -30,8 +30,9 @@ from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.evaluate import EvalOptions, evaluate
 from regrasp_train.goal_features import GoalFeatures, NormalizedReLU
 from regrasp_train.learning_curve import read_points
-from regrasp_train.rl import TrainRlOptions, learning_envs, restored, train
-from regrasp_train.rl_envs import make_eval_env, make_learning_env
+from regrasp_train.rl import TrainRlOptions, train
+from regrasp_train.rl_envs import make_eval_env, make_learning_env, make_learning_envs
+from regrasp_train.rl_models import restored
 from regrasp_train.run_folder import PROGRESS, checkpoints_in, lock_run, read_run
 
 pytestmark = pytest.mark.rl
@@ -222,7 +223,7 @@ def test_a_run_that_goes_on_sees_other_scenes(tmp_path, sac):
     for steps in (160, 161):
         last = checkpoints_in(tmp_path / "run")[-1] / PROGRESS
         last.write_text(json.dumps({**json.loads(last.read_text()), "steps": steps}))
-        envs = learning_envs(settings)
+        envs = make_learning_envs(settings)
         restored(settings, envs, TrainRlOptions(run=tmp_path / "run", device="cpu"))
         envs.reset()
         seen.append(envs.envs[0].unwrapped.scene.seed)

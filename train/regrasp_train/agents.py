@@ -1,4 +1,4 @@
-"""Who acts in an evaluation: the expert, a LeRobot policy, or a model of Stable-Baselines3."""
+"""Agents that can be evaluated: the expert, LeRobot policies and models of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from regrasp_gym.reports.command_line import require_extra
 from regrasp_train.errors import MismatchError, RunError
 
 if TYPE_CHECKING:
-    from regrasp_gym.envs.base import RegraspEnv
+    from lerobot.configs.policies import PreTrainedConfig
 
 EXPERT = "expert"
 
 
 class Agent(Protocol):
-    """Acts in the environment that it was made for."""
+    """Chooses actions in the environment that it was made for."""
 
     def reset(self, seed: int) -> None:
-        """Forget the last episode; called after the environment's reset."""
+        """Start an episode; called after the environment's reset."""
         ...
 
     def act(self, observation: dict[str, Any]) -> np.ndarray | None:
@@ -36,10 +36,10 @@ class Agent(Protocol):
 
 
 def kind_of(policy: str) -> str:
-    """What a policy's name or path stands for: "expert", "lerobot" or "sb3".
+    """Kind of a policy, given by name or path: "expert", "lerobot" or "sb3".
 
     Raises:
-        RunError: it is none of these.
+        RunError: it is no policy.
     """
     if policy == EXPERT:
         return EXPERT
@@ -58,10 +58,10 @@ def kind_of(policy: str) -> str:
 
 
 def trained_in(policy: str) -> tuple[str | None, dict[str, Any]]:
-    """The id of the environment that a policy was trained in and arguments for ``gym.make``, as far as it says so.
+    """Id of the environment that a policy was trained in, if known, and arguments for ``gym.make``.
 
     Raises:
-        RunError: a model that belongs to no run of regrasp-train-rl.
+        RunError: the model belongs to no run of regrasp-train-rl.
     """
     kind = kind_of(policy)
     if kind == "sb3":
@@ -80,7 +80,7 @@ def trained_in(policy: str) -> tuple[str | None, dict[str, Any]]:
 
 
 def obs_type_of(policy: str) -> str:
-    """The ``obs_type`` that an environment needs for a policy."""
+    """The ``obs_type`` that a policy needs."""
     if kind_of(policy) != "lerobot":
         return "state"
     inputs = json.loads((Path(policy) / "config.json").read_text()).get("input_features") or {}
@@ -88,11 +88,11 @@ def obs_type_of(policy: str) -> str:
 
 
 def make_agent(policy: str, env: gym.Env, device: str | None = None) -> Agent:
-    """Whoever ``policy`` stands for, to act in ``env``.
+    """Load a policy to act in ``env``.
 
     Raises:
-        MissingExtraError: the packages for such a policy are not installed.
-        MismatchError: it was trained with other observations or actions than the environment has.
+        MissingExtraError: the packages for the policy are not installed.
+        MismatchError: the environment's observations or actions differ from those of the training.
     """
     kind = kind_of(policy)
     if kind == EXPERT:
@@ -125,12 +125,12 @@ class ExpertAgent:
 
 
 class LeRobotAgent:
-    """A policy of LeRobot's.
+    """A LeRobot policy.
 
     Args:
-        path: folder with its config.json and weights.
-        env: it acts in.
-        device: torch's; the one it was trained on, if that is there, by default.
+        path: folder of its config.json and weights.
+        env: environment to act in.
+        device: device of torch; by default that of the training, if available.
     """
 
     failure = ""
@@ -157,7 +157,7 @@ class LeRobotAgent:
         self._device = torch.device(config.device or "cpu")
 
     def reset(self, seed: int) -> None:
-        """Begin a new sequence of actions."""
+        """Start an episode and seed the sampling of actions."""
         import torch
 
         torch.manual_seed(seed)
@@ -168,13 +168,13 @@ class LeRobotAgent:
         import torch
         from lerobot.policies.utils import prepare_observation_for_inference
 
-        from regrasp_datasets.features import ENVIRONMENT_STATE, IMAGE_PREFIX, STATE, observe
+        from regrasp_datasets.features import ENVIRONMENT_STATE, IMAGE_PREFIX, STATE, base_env, observe
 
         seen = observe(self._env, observation)
         parts = {STATE: seen.state, ENVIRONMENT_STATE: seen.environment_state}
         parts |= {IMAGE_PREFIX + camera: image for camera, image in seen.images.items()}
         wanted = {key: part for key, part in parts.items() if key in self._inputs}
-        batch = prepare_observation_for_inference(wanted, self._device, _inner(self._env).task_description)
+        batch = prepare_observation_for_inference(wanted, self._device, base_env(self._env).task_description)
         with torch.inference_mode():
             action = self._after(self._policy.select_action(self._before(batch)))
         return action[0].cpu().numpy()
@@ -185,8 +185,8 @@ class Sb3Agent:
 
     Args:
         path: its .zip, in the folder of its run.
-        env: it acts in.
-        device: torch's.
+        env: environment to act in.
+        device: device of torch; by default the best available.
     """
 
     failure = ""
@@ -198,7 +198,7 @@ class Sb3Agent:
         from regrasp_train.run_folder import read_run
 
         made = {"sac": SAC, "ppo": PPO}[read_run(path)["algo"]]
-        # Of no use here: a replay buffer would be reserved at once, and one with hindsight asks for an environment.
+        # A replay buffer is of no use here: it would take memory, and one with hindsight needs an environment.
         unused = {"buffer_size": 1, "replay_buffer_class": DictReplayBuffer, "replay_buffer_kwargs": {}}
         model = made.load(path, device=device or "auto", custom_objects=unused)
         for name in ("observation_space", "action_space"):
@@ -206,8 +206,7 @@ class Sb3Agent:
             if _shapes(learnt) != _shapes(found):
                 raise MismatchError(
                     f"{path} was trained with the {name.replace('_', ' ')} {_shapes(learnt)}, and "
-                    f"{env.spec and env.spec.id} has {_shapes(found)}: evaluate it in {read_run(path)['env']}, or in "
-                    "an environment like that"
+                    f"{env.spec and env.spec.id} has {_shapes(found)}: evaluate it in {read_run(path)['env']}"
                 )
         self._model = model
 
@@ -222,11 +221,11 @@ class Sb3Agent:
         return action
 
 
-def _check_features(path: Path, config: Any, env: gym.Env) -> None:
+def _check_features(path: Path, config: PreTrainedConfig, env: gym.Env) -> None:
     from regrasp_datasets.features import IMAGE_PREFIX, features_of
 
     features = features_of(env)
-    for key, feature in {**config.input_features, **config.output_features}.items():
+    for key, feature in {**(config.input_features or {}), **(config.output_features or {})}.items():
         shape = tuple(feature.shape)
         if key.startswith(IMAGE_PREFIX):
             shape = (*shape[1:], shape[0])
@@ -234,17 +233,11 @@ def _check_features(path: Path, config: Any, env: gym.Env) -> None:
         if found != shape:
             raise MismatchError(
                 f"{path} was trained with {key} of shape {shape}, and {env.spec and env.spec.id} has "
-                f"{'none' if found is None else found}: evaluate it in the environment it was trained in"
+                f"{'none' if found is None else found}: evaluate it in the environment of its training"
             )
 
 
-def _inner(env: gym.Env) -> RegraspEnv:
-    from regrasp_datasets.features import base_env
-
-    return base_env(env)
-
-
-def _shapes(space: gym.Space) -> Any:
+def _shapes(space: gym.Space) -> object:
     if isinstance(space, gym.spaces.Dict):
         return {key: part.shape for key, part in space.spaces.items()}
     return space.shape

@@ -7,6 +7,7 @@ import logging
 import os
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,8 @@ import tyro
 from rich.console import Console
 
 from regrasp_datasets.quiet import quiet_environment
-from regrasp_gym.reports.command_line import require_extra, run_command
+from regrasp_gym.reports.command_line import JsonFile, require_extra, run_command
+from regrasp_gym.reports.report import write_report
 from regrasp_train.configs import read_config
 from regrasp_train.errors import MismatchError, RunError
 from regrasp_train.run_folder import check_new, lock_run
@@ -24,16 +26,15 @@ from regrasp_train.scenes import held_out
 from regrasp_train.threads import threads
 
 PLUGIN = "regrasp_datasets.lerobot_env"
-"""What LeRobot imports to know of our environments."""
+"""Module that LeRobot imports to know the environments."""
 
 
 @dataclass(frozen=True)
 class TrainBcOptions:
     """Train a policy on demonstrations with LeRobot's trainer.
 
-    Fills in what lerobot-train needs to know about a dataset of regrasp-collect and its environment, prints that
-    command, and runs it. Checkpoints are LeRobot's own: RUN/checkpoints/last/pretrained_model is for regrasp-eval and
-    for lerobot-eval.
+    Prints and runs lerobot-train with the arguments for a dataset of regrasp-collect and its environment. Checkpoints
+    are LeRobot's own: regrasp-eval and lerobot-eval take RUN/checkpoints/last/pretrained_model.
     """
 
     run: Path
@@ -41,7 +42,7 @@ class TrainBcOptions:
     dataset: Path | None = None
     """Folder of the dataset; not needed with --resume."""
     env: str | None = None
-    """Gymnasium id; by default that of the dataset. It must have the dataset's features."""
+    """Gymnasium id, by default that of the dataset; its features must be the dataset's."""
     config: str = "bc-state"
     """Hyper-parameters: bc-state, bc-images, or a YAML file like them."""
     steps: int | None = None
@@ -51,92 +52,96 @@ class TrainBcOptions:
     save_every: int | None = None
     """Steps between checkpoints, instead of the config's."""
     eval_every: int = 0
-    """Steps between evaluations in validation scenes; 0 leaves them to regrasp-eval."""
+    """Steps between evaluations in validation scenes; 0 for none."""
     eval_episodes: int = 10
     """Episodes of each of these evaluations."""
     device: str | None = None
-    """cpu, cuda or mps; what is there by default."""
+    """cpu, cuda or mps; by default the best available."""
     seed: int = 0
-    """Of weights and of the order of the data."""
+    """Seed of weights and of the order of the data."""
     resume: bool = False
-    """Go on from the last checkpoint of the run, as it was begun; only --steps and --save-every can be changed."""
+    """Continue from the last checkpoint of the run; only --steps and --save-every can be changed."""
+    json_file: JsonFile = None
+    """Write the arguments of lerobot-train, the policy and the time as JSON."""
 
 
 def main() -> int:
     """Entry point of ``regrasp-train-bc``: 0 if done, 2 for wrong use, 130 for Ctrl-C."""
     ours, extra = _split(sys.argv[1:])
-    command = tyro.cli(TrainBcOptions, prog="regrasp-train-bc", description=TrainBcOptions.__doc__, args=ours)
+    options = tyro.cli(TrainBcOptions, prog="regrasp-train-bc", description=TrainBcOptions.__doc__, args=ours)
     shows_progress = "TQDM_DISABLE" not in os.environ
     quiet_environment()
     if shows_progress:
         del os.environ["TQDM_DISABLE"]
-    resume = f"go on with --run {command.run} --resume"
-    return run_command("regrasp-train-bc", lambda: train(command, extra), resume=resume)
+    resume = f"go on with --run {options.run} --resume"
+    return run_command("regrasp-train-bc", lambda: train(options, extra), resume=resume)
 
 
-def train(command: TrainBcOptions, extra: Sequence[str] = ()) -> int:
-    """Do what ``command`` says; 0.
+def train(options: TrainBcOptions, extra: Sequence[str] = ()) -> int:
+    """Train a policy and report. Returns 0.
 
     Args:
-        command: the options.
+        options: command-line options.
         extra: further arguments for LeRobot's trainer.
 
     Raises:
         MissingExtraError: LeRobot is not installed.
         RunError: the folder of the run, or the config, cannot be used.
         MismatchError: the environment's features are not those of the dataset.
-        DatasetError: there is no whole dataset.
+        DatasetError: there is no finished dataset.
         RolloutError: the environment cannot be made.
     """
     require_extra("regrasp-train-bc", "lerobot")
-    arguments = [*(resumed(command) if command.resume else fresh(command)), *extra]
+    arguments = [*(resumed(options) if options.resume else fresh(options)), *extra]
     Console().print(f"lerobot-train {shlex.join(arguments)}", highlight=False, soft_wrap=True)
 
-    # Where FFmpeg is not installed it tells at length that it reads films with PyAV.
+    # Without FFmpeg, LeRobot prints a long note that it reads films with PyAV.
     logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     import torch
     from lerobot.scripts.lerobot_train import train as lerobot_train
 
     torch.set_num_threads(threads())
-    # LeRobot's trainer reads the command line again where it resumes, so that is where its arguments have to be.
-    before = sys.argv
+    # LeRobot's trainer reads the command line again when it resumes.
+    started, before = time.perf_counter(), sys.argv
     sys.argv = ["lerobot-train", *arguments]
     try:
-        with lock_run(command.run):
+        with lock_run(options.run):
             lerobot_train()  # pyright: ignore[reportCallIssue]
     finally:
         sys.argv = before
-    policy = saved_config(command.run).parent
-    Console().print(f"regrasp-eval --policy {policy} tells how well it does", highlight=False, soft_wrap=True)
+    policy = saved_config(options.run).parent
+    Console().print(f"regrasp-eval --policy {policy} evaluates it", highlight=False, soft_wrap=True)
+    summary = {"lerobot_train": arguments, "policy": policy, "seconds": time.perf_counter() - started}
+    write_report(options.json_file, summary, ("regrasp-gym", "mujoco", "gymnasium", "lerobot", "torch", "numpy"))
     return 0
 
 
-def fresh(command: TrainBcOptions) -> list[str]:
-    """Arguments for LeRobot's trainer that begin a run."""
-    from regrasp_datasets.records import read_episodes
+def fresh(options: TrainBcOptions) -> list[str]:
+    """Arguments of LeRobot's trainer for a new run."""
+    from regrasp_datasets.records import read_episodes, repo_id_of
 
-    if command.dataset is None:
+    if options.dataset is None:
         raise RunError("--dataset is missing: give the folder of a dataset, made by regrasp-collect")
-    check_new(command.run, resumable=saved_config(command.run).exists())
-    records = read_episodes(command.dataset)
-    config = read_config(command.config)
+    check_new(options.run, resumable=saved_config(options.run).exists())
+    records = read_episodes(options.dataset)
+    config = read_config(options.config)
     if not {"obs_type", "train"} <= set(config):
-        raise RunError(f"config {command.config!r} is not one of behaviour cloning: it has no 'obs_type' or no 'train'")
-    device = command.device or best_device()
-    env_id = command.env or records[0].env_id
+        raise RunError(f"config {options.config!r} is not one of behaviour cloning: it lacks 'obs_type' or 'train'")
+    device = options.device or best_device()
+    env_id = options.env or records[0].env_id
     recorded = records[0].env_kwargs
     obs_type = config["obs_type"]
-    inputs = check_dataset(command.dataset, env_id, recorded, obs_type)
+    inputs = check_dataset(options.dataset, env_id, recorded, obs_type)
     image_size = recorded.get("image_size", (128, 128))[0]
-    # LeRobot evaluates in the scenes from its seed on: they have to be others than those learnt from.
+    # LeRobot evaluates in scenes from its seed on. They must not be those of the demonstrations.
     first, of_split = held_out(env_id, "val")
     settings = merged(config["train"], config.get("gpu", {})) if device != "cpu" else config["train"]
     settings = merged(
-        {"num_workers": 0, "seed": first + command.seed, "wandb": {"enable": False}},
+        {"num_workers": 0, "seed": first + options.seed, "wandb": {"enable": False}},
         settings,
         {
-            "dataset": {"repo_id": f"regrasp-gym/{command.dataset.name}", "root": str(command.dataset)},
-            "output_dir": str(command.run),
+            "dataset": {"repo_id": repo_id_of(options.dataset), "root": str(options.dataset)},
+            "output_dir": str(options.run),
             "policy": {"device": device, "push_to_hub": False, "input_features": inputs},
             "env": {
                 "discover_packages_path": PLUGIN,
@@ -147,47 +152,47 @@ def fresh(command: TrainBcOptions) -> list[str]:
                 "image_size": image_size,
                 **of_split,
             },
-            "env_eval_freq": command.eval_every,
-            "eval": {"n_episodes": command.eval_episodes, "batch_size": 2},
+            "env_eval_freq": options.eval_every,
+            "eval": {"n_episodes": options.eval_episodes, "batch_size": 2},
         },
     )
-    chosen = {"steps": command.steps, "batch_size": command.batch_size, "save_freq": command.save_every}
+    chosen = {"steps": options.steps, "batch_size": options.batch_size, "save_freq": options.save_every}
     settings = merged(settings, {key: value for key, value in chosen.items() if value is not None})
     return flattened(settings)
 
 
-def resumed(command: TrainBcOptions) -> list[str]:
-    """Arguments for LeRobot's trainer that go on with a run."""
-    saved = saved_config(command.run)
+def resumed(options: TrainBcOptions) -> list[str]:
+    """Arguments of LeRobot's trainer for a resumed run."""
+    saved = saved_config(options.run)
     if not saved.exists():
         raise RunError(
-            f"{command.run} holds no checkpoint of regrasp-train-bc to go on from ({saved} is missing): begin another "
-            "--run without --resume"
+            f"{options.run} holds no checkpoint of regrasp-train-bc ({saved} is missing): start another --run "
+            "without --resume"
         )
     arguments = [f"--env.discover_packages_path={PLUGIN}", f"--config_path={saved}", "--resume=true"]
-    chosen = {"steps": command.steps, "save_freq": command.save_every}
+    chosen = {"steps": options.steps, "save_freq": options.save_every}
     return arguments + flattened({key: value for key, value in chosen.items() if value is not None})
 
 
 def saved_config(run: Path) -> Path:
-    """Where LeRobot's trainer keeps the configuration of a run, once it has a checkpoint."""
+    """File of LeRobot's with the configuration of a run; exists once there is a checkpoint."""
     return run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
 
 
 def check_dataset(root: Path, env_id: str, recorded: dict[str, Any], obs_type: str) -> dict[str, Any]:
-    """The policy's inputs, which both the dataset and the environment have.
+    """Check that a dataset has the environment's features.
 
     Args:
         root: folder of the dataset.
         env_id: Gymnasium id of the environment.
         recorded: keyword arguments of ``gym.make`` that the dataset was recorded with.
-        obs_type: what the policy sees, as in `regrasp_datasets.lerobot_env`.
+        obs_type: observations of the policy, as in `regrasp_datasets.lerobot_env`.
 
     Returns:
-        Feature → its type and shape, as LeRobot's policies want them.
+        Type and shape of the policy's inputs, by feature.
 
     Raises:
-        MismatchError: one of the features differs, or the dataset has no images and the policy wants some.
+        MismatchError: a feature differs, or the policy needs images and the dataset has none.
     """
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
@@ -225,14 +230,14 @@ def describe(feature: tuple[tuple[int, ...], list[str] | None] | None) -> str:
 
 
 def best_device() -> str:
-    """What torch can compute on fastest here."""
+    """Fastest device of torch on this machine."""
     import torch
 
     return (torch.accelerator.current_accelerator(check_available=True) or torch.device("cpu")).type
 
 
 def merged(*tables: dict[str, Any]) -> dict[str, Any]:
-    """Tables one over the other, the later ones' entries winning, tables within them likewise."""
+    """Merge nested tables; entries of later ones win."""
     result: dict[str, Any] = {}
     for table in tables:
         for key, value in table.items():
@@ -242,7 +247,7 @@ def merged(*tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def flattened(settings: dict[str, Any], prefix: str = "") -> list[str]:
-    """Settings as command-line arguments; tables that LeRobot reads as a whole stay JSON."""
+    """Settings as command-line arguments. Tables that LeRobot reads whole stay JSON."""
     arguments: list[str] = []
     for key, value in settings.items():
         name = f"{prefix}{key}"

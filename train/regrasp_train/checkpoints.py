@@ -1,44 +1,42 @@
-"""Checkpoints of reinforcement learning: what a run needs to go on, whole or not there at all."""
+"""Checkpoints of reinforcement learning, written whole or not at all."""
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from pathlib import Path
 
-import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 
-from regrasp_gym.reports.files import append_line
+from regrasp_gym.reports.files import append_line, write_json
 from regrasp_train.learning_curve import CurvePoint
 from regrasp_train.run_folder import BUFFER, CHECKPOINTS, MODEL, PROGRESS, checkpoints_in
 
 
 class Clock:
-    """Seconds learnt so far, those before a resumption included."""
+    """Time spent in a run, earlier sessions included."""
 
     def __init__(self, before: float = 0.0) -> None:
         self._before, self._began = before, time.monotonic()
 
     @property
     def seconds(self) -> float:
-        """Since the run first began, but for the time it lay still."""
+        """Seconds so far."""
         return self._before + time.monotonic() - self._began
 
 
 class Checkpoints(BaseCallback):
-    """At the beginning, every so many steps, and at the end: the model and the replay buffer.
+    """Saves the model and the replay buffer at the start, every so many steps, and at the end.
 
-    Stable-Baselines3's own callback writes its files one after the other into place, and a run that is killed
-    meanwhile can not go on from them. Here a folder appears by one rename. Models stay, buffers only with the last.
+    Stable-Baselines3's own callback writes files in place, so a run killed meanwhile cannot be resumed. Here a folder
+    appears by one rename. All models are kept, but only the last replay buffer.
 
     Args:
         run: folder of the run.
-        every: steps between them.
-        clock: of the run.
-        evaluation: knows the best mean return so far.
-        budget: seconds of the clock after which learning stops; None for no limit.
+        every: steps between checkpoints.
+        clock: clock of the run.
+        evaluation: holds the best mean return so far.
+        budget: seconds of the clock after which training stops; None for no limit.
     """
 
     def __init__(
@@ -62,7 +60,7 @@ class Checkpoints(BaseCallback):
         self.save()
 
     def save(self) -> None:
-        """Write a checkpoint of now."""
+        """Write a checkpoint, unless there is one of this step."""
         steps = self.model.num_timesteps
         folder = self.run / CHECKPOINTS
         place = folder / f"{steps:09d}"
@@ -74,9 +72,9 @@ class Checkpoints(BaseCallback):
         self.model.save(unfinished / MODEL)
         if getattr(self.model, "replay_buffer", None) is not None:
             self.model.save_replay_buffer(unfinished / BUFFER)  # type: ignore[attr-defined]
-        best = float(self.evaluation.best_mean_reward)
-        progress = {"steps": steps, "seconds": self.clock.seconds, "best": best if np.isfinite(best) else None}
-        (unfinished / PROGRESS).write_text(json.dumps(progress) + "\n")
+        # Before the first evaluation the best return is −∞, which is written as null.
+        progress = {"steps": steps, "seconds": self.clock.seconds, "best": float(self.evaluation.best_mean_reward)}
+        write_json(unfinished / PROGRESS, progress)
         unfinished.rename(place)
         for other in checkpoints_in(self.run):
             if other != place:
@@ -84,7 +82,7 @@ class Checkpoints(BaseCallback):
 
 
 class CurvePoints(BaseCallback):
-    """After each evaluation of an `EvalCallback`: a point of the learning curve."""
+    """Appends a point to the learning curve after each evaluation of an `EvalCallback`."""
 
     def __init__(self, file: Path, clock: Clock) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Finds and reads the shipped hyper-parameters, and files like them."""
+"""Shipped hyper-parameters, and files like them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def read_config(config: str) -> dict[str, Any]:
     """Read a YAML file of hyper-parameters.
 
     Args:
-        config: name of a shipped file without its ending, or the path of another one.
+        config: name of a shipped file without its suffix, or path of another.
 
     Raises:
-        RunError: there is no such file, or it is no table.
+        RunError: there is no such file, or it holds no table.
     """
     import yaml
 

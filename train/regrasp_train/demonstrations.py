@@ -1,4 +1,4 @@
-"""Demonstrations for reinforcement learning: a LeRobot dataset as a part of the replay buffer that is never dropped."""
+"""Demonstrations for reinforcement learning: a LeRobot dataset as a permanent part of the replay buffer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Transition = tuple[dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, fl
 
 
 class DemonstrationReplayBuffer(HerReplayBuffer):
-    """Hindsight experience replay of which a share of every batch comes from demonstrations, if there are any.
+    """Hindsight experience replay that takes a share of every batch from demonstrations, if there are any.
 
     Args:
         *args: as for `HerReplayBuffer`.
@@ -40,7 +40,7 @@ class DemonstrationReplayBuffer(HerReplayBuffer):
             self.demos.set_env(env)
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> DictReplayBufferSamples:  # type: ignore[override]
-        """A batch; all of it from the demonstrations as long as there is no episode of one's own."""
+        """A batch. Until the first episode ends, all of it comes from demonstrations."""
         if self.demos is None:
             return super().sample(batch_size, env)
         count = round(self.demo_share * batch_size) if self.ep_length.any() else batch_size
@@ -53,11 +53,11 @@ class DemonstrationReplayBuffer(HerReplayBuffer):
 
 
 def check_demonstrations(root: Path, env_id: str, control_mode: str) -> None:
-    """Check that a dataset is of an environment, and that its actions mean the same.
+    """Check that a dataset was recorded in an environment with a control mode.
 
     Raises:
-        MismatchError: it is not, or they do not.
-        DatasetError: there is no whole dataset.
+        MismatchError: it was recorded in another.
+        DatasetError: there is no finished dataset.
     """
     from regrasp_datasets.records import read_episodes
 
@@ -72,21 +72,20 @@ def check_demonstrations(root: Path, env_id: str, control_mode: str) -> None:
 
 
 def read_demonstrations(root: Path, env: gym.Env) -> list[list[_Transition]]:
-    """Episodes of a dataset as transitions of ``env``, by running their actions again from their seeds.
+    """Replay the episodes of a dataset as transitions of ``env``.
 
-    So observations are exact, have goals, and are of the environment that is learnt in. Episodes that do not succeed
-    again are left out.
+    So the observations are exact and have goals. Episodes that do not succeed again are left out.
 
     Args:
         root: folder of the dataset.
-        env: to run them in; see `check_demonstrations`.
+        env: environment to replay them in; see `check_demonstrations`.
 
     Returns:
-        For each episode, (observation, next observation, action, reward, whether it is the last).
+        For each episode a list of (observation, next observation, action, reward, whether it is the last).
 
     Raises:
         MismatchError: no episode succeeds.
-        DatasetError: there is no whole dataset.
+        DatasetError: there is no finished dataset.
     """
     from regrasp_datasets.films import EpisodeReader
     from regrasp_datasets.records import read_episodes
@@ -104,12 +103,12 @@ def read_demonstrations(root: Path, env: gym.Env) -> list[list[_Transition]]:
 
 
 def demonstration_buffer(episodes: list[list[_Transition]], like: HerReplayBuffer, env: VecEnv) -> HerReplayBuffer:
-    """A buffer of just the demonstrations, relabelling goals as ``like`` does.
+    """A buffer of demonstrations that relabels goals as ``like`` does.
 
     Args:
-        episodes: from `read_demonstrations`; their actions are in the environment's units.
-        like: the buffer that is learnt from.
-        env: for the rewards of relabelled goals.
+        episodes: from `read_demonstrations`; actions are in the environment's units.
+        like: buffer of the model.
+        env: environment that computes the rewards of relabelled goals.
     """
     space = like.action_space
     assert isinstance(space, gym.spaces.Box)
@@ -125,9 +124,9 @@ def demonstration_buffer(episodes: list[list[_Transition]], like: HerReplayBuffe
     )
     for episode in episodes:
         for observation, following, action, reward, last in episode:
-            # As the policy's actions are stored: −1 … 1 over the action space.
+            # A replay buffer stores actions scaled to −1 … 1.
             scaled = 2 * (action - space.low) / (space.high - space.low) - 1
-            # The end of a demonstration is no end of the task: what comes after has a value too.
+            # A demonstration's end does not end the task: the state after it has a value.
             info = {"TimeLimit.truncated": last}
             buffer.add(
                 {key: value[None] for key, value in observation.items()},
@@ -141,7 +140,7 @@ def demonstration_buffer(episodes: list[list[_Transition]], like: HerReplayBuffe
 
 
 def _replayed(env: gym.Env, seed: int, actions: np.ndarray) -> list[_Transition]:
-    """The transitions of an episode run again, or none if it does not succeed."""
+    """Transitions of a replayed episode; none if it does not succeed."""
     observation, _ = env.reset(seed=seed)
     episode: list[_Transition] = []
     success = False

@@ -6,7 +6,7 @@ from regrasp_gym.errors import RegraspGymError
 
 
 class MismatchError(RegraspGymError, ValueError):
-    """A dataset, a checkpoint and an environment that do not fit together."""
+    """A dataset, a checkpoint and an environment do not fit together."""
 
 
 class RunError(RegraspGymError, RuntimeError):

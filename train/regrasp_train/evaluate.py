@@ -1,4 +1,4 @@
-"""``regrasp-eval``: how often a policy, or the expert, succeeds in scenes that nobody has learnt from."""
+"""``regrasp-eval``: success rate of a policy or the expert in held-out scenes."""
 
 from __future__ import annotations
 
@@ -26,39 +26,39 @@ from regrasp_gym.reports.report import Record, wilson, write_report
 from regrasp_gym.reports.trials import Trial, crashes, print_crashes, run_trials
 from regrasp_train.agents import Agent, kind_of, make_agent, obs_type_of, trained_in
 from regrasp_train.errors import MismatchError, RunError
-from regrasp_train.progress import Progress, Reached
+from regrasp_train.progress import Milestone, Progress
 from regrasp_train.scenes import held_out
 
 
 @dataclass(frozen=True)
 class EvalOptions:
-    """Run a policy in held-out scenes, and count.
+    """Measure how often a policy succeeds in held-out scenes.
 
-    An episode succeeds if the environment says so at some step, at which it ends; it fails at the time limit, or when
-    the expert gives up. Printed are the success rate with its 95 % interval (Wilson), overall and by object, and how
-    far the failed episodes came. Interrupted runs go on where they stopped.
+    An episode ends when the environment counts the task as solved. It fails at the time limit, or when the expert gives
+    up. Prints the success rate with its 95 % interval (Wilson), overall and by object, and how far episodes came. The
+    same command resumes an interrupted run.
     """
 
     policy: str
     """"expert"; a LeRobot policy (the folder …/pretrained_model); or a model .zip of regrasp-train-rl."""
     env: str | None = None
-    """Gymnasium id; by default the one it was trained in."""
+    """Gymnasium id; by default that of the training."""
     episodes: int = 50
-    """How many scenes."""
+    """Number of scenes."""
     split: Literal["train", "val", "test"] = "test"
     """Which scenes; demonstrations are collected from those of "train"."""
     seed: int = 0
     """Number of the first scene within the split."""
     control_mode: Literal["joint_pos", "ee_delta"] | None = None
-    """What actions mean; by default what it was trained with."""
+    """Action space; by default that of the training."""
     workers: int = 1
     """Processes that run episodes at the same time."""
     device: str | None = None
-    """Of torch: cpu, cuda or mps."""
+    """Device of torch: cpu, cuda or mps."""
     videos: Path | None = None
     """Folder for films of the first episodes."""
     filmed: int = 4
-    """How many episodes are filmed."""
+    """Number of filmed episodes."""
     records: Path = Path("outputs/eval.jsonl")
     """One JSON line per episode, appended to."""
     json_file: JsonFile = None
@@ -67,69 +67,69 @@ class EvalOptions:
 
 def main() -> int:
     """Entry point of ``regrasp-eval``: 0 if done, 1 if episodes crashed, 2 for wrong use, 130 for Ctrl-C."""
-    command = tyro.cli(EvalOptions, prog="regrasp-eval", description=EvalOptions.__doc__)
+    options = tyro.cli(EvalOptions, prog="regrasp-eval", description=EvalOptions.__doc__)
     quiet_environment()
-    # An episode is one policy step after another: threads only get in each other's way.
+    # Steps of an episode are sequential and small: more threads only slow each other down.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    return run_command("regrasp-eval", lambda: evaluate(command), resume="the same command goes on")
+    return run_command("regrasp-eval", lambda: evaluate(options), resume="run the same command again to resume")
 
 
-def evaluate(command: EvalOptions) -> int:
-    """Do what ``command`` says; 0, or 1 if episodes crashed.
+def evaluate(options: EvalOptions) -> int:
+    """Evaluate a policy and report. Returns 0, or 1 if episodes crashed.
 
     Raises:
-        RunError: the policy can not be found.
+        RunError: there is no such policy.
         MismatchError: it does not fit the environment.
         RolloutError: the environment cannot be made.
         MissingExtraError: the packages for such a policy are not installed.
     """
-    setting = setting_of(command)
-    first, _ = held_out(setting["env"], command.split)
-    # Made once here, so that what is wrong is said before any work, and not once per episode.
-    env, _ = _made(setting)
+    setting = setting_of(options)
+    first, _ = held_out(setting["env"], options.split)
+    # Made here to report errors at once instead of in every episode.
+    env, _ = _make(setting)
     scenes = getattr(env.unwrapped, "scene_seeds", None)
     env.close()
-    if scenes is not None and command.seed + command.episodes > len(scenes):
+    if scenes is not None and options.seed + options.episodes > len(scenes):
         raise MismatchError(
-            f"{setting['env']} has {len(scenes)} scenes in its split {command.split!r}, and {command.episodes} from "
-            f"number {command.seed} on are asked for: give --episodes {max(len(scenes) - command.seed, 0)} or fewer"
+            f"{setting['env']} has {len(scenes)} scenes in its split {options.split!r}, too few for {options.episodes} "
+            f"from number {options.seed}: give --episodes {max(len(scenes) - options.seed, 0)} or fewer"
         )
-    seeds = range(first + command.seed, first + command.seed + command.episodes)
-    if command.videos is not None:
-        setting |= {"videos": str(command.videos), "filmed": list(seeds[: command.filmed])}
+    seeds = range(first + options.seed, first + options.seed + options.episodes)
+    if options.videos is not None:
+        setting |= {"videos": str(options.videos), "filmed": list(seeds[: options.filmed])}
     label = "evaluating"
-    records = run_trials(setting, seeds, _prepare, workers=command.workers, records=command.records, label=label)
+    records = run_trials(setting, seeds, _prepare, workers=options.workers, records=options.records, label=label)
     summary = summarise(setting, records)
     _show(summary)
     packages = ("regrasp-gym", "mujoco", "gymnasium", "jax", "numpy")
     packages += {"lerobot": ("lerobot", "torch"), "sb3": ("stable-baselines3", "torch")}.get(setting["kind"], ())
-    write_report(command.json_file, summary, packages)
+    write_report(options.json_file, summary, packages)
     return 1 if summary["crashed"] else 0
 
 
-def setting_of(command: EvalOptions) -> Record:
-    """What the episodes have in common."""
-    env_id, kwargs = trained_in(command.policy)
-    env_id = command.env or env_id or ("regrasp_gym/PandaYCB-v0" if kind_of(command.policy) == "expert" else None)
+def setting_of(options: EvalOptions) -> Record:
+    """Setting that all episodes share."""
+    env_id, kwargs = trained_in(options.policy)
+    env_id = options.env or env_id or ("regrasp_gym/PandaYCB-v0" if kind_of(options.policy) == "expert" else None)
     if env_id is None:
-        raise RunError(f"{command.policy} does not say what it was trained in: give --env")
-    if command.control_mode is not None:
-        kwargs["control_mode"] = command.control_mode
-    _, of_split = held_out(env_id, command.split)
+        raise RunError(f"{options.policy} does not name the environment that it was trained in: give --env")
+    if options.control_mode is not None:
+        kwargs["control_mode"] = options.control_mode
+    _, of_split = held_out(env_id, options.split)
     return {
-        "policy": command.policy,
-        "kind": kind_of(command.policy),
-        "policy_sha256": digest(command.policy),
+        "policy": options.policy,
+        "kind": kind_of(options.policy),
+        "policy_sha256": digest(options.policy),
         "env": env_id,
-        "env_kwargs": {**kwargs, **of_split, "obs_type": obs_type_of(command.policy), "terminate_on_success": True},
-        "split": command.split,
-        "device": command.device,
+        "env_kwargs": {**kwargs, **of_split, "obs_type": obs_type_of(options.policy), "terminate_on_success": True},
+        "split": options.split,
+        "device": options.device,
         "version": version("regrasp-gym"),
     }
 
 
 def digest(policy: str) -> str:
-    """Digest of a policy's weights, so that records of a newer checkpoint at the same place are not mixed up."""
+    """Digest of a policy's weights. It tells records of checkpoints with the same path apart."""
     if kind_of(policy) == "expert":
         return ""
     path = Path(policy)
@@ -138,12 +138,12 @@ def digest(policy: str) -> str:
 
 
 def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None) -> Record:
-    """One episode, as a record.
+    """Run one episode and record its outcome.
 
     Args:
         env: made with ``terminate_on_success``.
-        agent: made for it.
-        seed: of the reset.
+        agent: made for ``env``.
+        seed: seed of the reset.
         video: MP4 file to write; the environment needs ``render_mode="rgb_array"``.
     """
     from regrasp_datasets.features import base_env
@@ -155,7 +155,7 @@ def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None
     progress = Progress()
     pictures = [inner.picture(inner.render_camera, *inner.render_size)] if video else []
     steps, truncated = 0, False
-    while not truncated and progress.reached is not Reached.PLACED:
+    while not truncated and progress.milestone is not Milestone.PLACED:
         action = agent.act(observation)
         if action is None:
             break
@@ -166,13 +166,13 @@ def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None
             pictures.append(inner.picture(inner.render_camera, *inner.render_size))
     if video:
         write_film(video, pictures, env.metadata["render_fps"])
-    success = progress.reached is Reached.PLACED
+    success = progress.milestone is Milestone.PLACED
     return {
         "seed": seed,
         "scene_seed": info["scene_seed"],
         "target": inner.scene.target.name,
         "success": success,
-        "reached": str(progress.reached),
+        "reached": str(progress.milestone),
         "steps": steps,
         "seconds": time.perf_counter() - began,
         "cause": "" if success else agent.failure or ("time limit" if truncated else "gave up"),
@@ -180,7 +180,7 @@ def run_episode(env: gym.Env, agent: Agent, seed: int, video: Path | None = None
 
 
 def summarise(setting: Record, records: Sequence[Record]) -> Record:
-    """Counts overall, by object and by the step reached, of episodes in the order of their seeds."""
+    """Counts overall, by object and by milestone, of episodes in the order of their seeds."""
     finished = [record for record in records if "crashed" not in record]
     targets = sorted({record["target"] for record in finished})
     farthest = Counter(record["reached"] for record in finished)
@@ -189,7 +189,7 @@ def summarise(setting: Record, records: Sequence[Record]) -> Record:
         "seeds": [records[0]["trial"], records[-1]["trial"]] if records else [],
         **_rate(finished),
         "by_object": {name: _rate([record for record in finished if record["target"] == name]) for name in targets},
-        "reached": {str(step): farthest.get(str(step), 0) for step in Reached},
+        "reached": {str(step): farthest.get(str(step), 0) for step in Milestone},
         "failures": dict(Counter(record["cause"] for record in finished if not record["success"]).most_common()),
         "failed": [record["seed"] for record in finished if not record["success"]],
         "steps_mean": sum(record["steps"] for record in finished) / max(len(finished), 1),
@@ -205,7 +205,7 @@ def _rate(records: Sequence[Record]) -> Record:
     return {"episodes": len(records), "successes": successes, "success_rate": share, "success_rate_95": interval}
 
 
-def _made(setting: Record) -> tuple[gym.Env, Agent]:
+def _make(setting: Record) -> tuple[gym.Env, Agent]:
     kwargs = dict(setting["env_kwargs"])
     if "image_size" in kwargs:
         kwargs["image_size"] = tuple(kwargs["image_size"])
@@ -216,7 +216,7 @@ def _made(setting: Record) -> tuple[gym.Env, Agent]:
 
 
 def _prepare(setting: Record) -> Trial:
-    env, agent = _made(setting)
+    env, agent = _make(setting)
     filmed, folder = setting.get("filmed", ()), Path(setting.get("videos", ""))
     return lambda seed: run_episode(env, agent, seed, folder / f"scene-{seed}.mp4" if seed in filmed else None)
 

@@ -1,5 +1,4 @@
-"""Parts of networks: what they are fed of a goal environment's observation (all of it, in like units, and where things
-are relative to one another), and an activation that normalises."""
+"""Parts of networks: scaled and relative features of a goal environment's observation, and a normalising activation."""
 
 from __future__ import annotations
 
@@ -11,20 +10,20 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from regrasp_gym.envs.observation import state_layout
 
 _NEAR = 10.0
-"""Distances of 10 cm become 1."""
+"""Factor of distances in metres: 10 cm become 1."""
 
 _FACTORS = {"joint velocities": 0.3, "finger coordinate": 25.0, "finger rate": 5.0, "target half extents": 10.0}
-"""What parts of `observation` are times by; the others are near 1 as they are."""
+"""Factors of parts of `observation`; the others are near 1 already."""
 
 
 class GoalFeatures(BaseFeaturesExtractor):
     """Scaled observation, target relative to the gripper, goal relative to the target, and both goals.
 
-    No statistics are kept: the scales are those of the quantities, so that a checkpoint is whole by itself.
+    The scales are constants, so a checkpoint needs no statistics.
 
     Args:
-        observation_space: of an environment of this project, with ``obs_type="state"``.
-        joints: of the arm.
+        observation_space: of an environment of this project with ``obs_type="state"``.
+        joints: number of joints of the arm.
     """
 
     def __init__(self, observation_space: spaces.Dict, joints: int) -> None:
@@ -53,7 +52,7 @@ class GoalFeatures(BaseFeaturesExtractor):
 class NormalizedReLU(torch.nn.Module):
     """ReLU of the layer's outputs normalised to mean 0 and variance 1.
 
-    Keeps critics from valuing actions that no demonstration shows far beyond those that they do show (Ball et al.,
+    Keeps critics from overestimating actions unlike any demonstration (Ball et al.,
     "Efficient online reinforcement learning with offline data", ICML 2023, §4.2).
     """
 

@@ -1,4 +1,4 @@
-"""How well a learner does as it learns: evaluations while training, their file, and its plot."""
+"""Learning curves: evaluations during training, their file and their plot."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class CurvePoint:
     """One evaluation during training.
 
     Attributes:
-        steps: environment steps learnt from so far.
-        seconds: wall-clock time learnt so far, evaluations included.
+        steps: environment steps so far.
+        seconds: wall-clock time so far, evaluations included.
         episodes: episodes of the evaluation.
         successes: how many of them succeeded.
     """
@@ -55,12 +55,12 @@ def plot_curves(curves: Mapping[str, Sequence[CurvePoint]], path: Path | None, t
     """Draw learning curves, with their 95 % intervals, over environment steps; nothing if there is no file.
 
     Args:
-        curves: evaluations by the learner's name.
-        path: picture to write; its ending says of what kind.
-        title: of the picture.
+        curves: evaluations by name of the run.
+        path: .svg, .png or .pdf.
+        title: title of the picture.
 
     Raises:
-        BenchError: another ending, or matplotlib is not installed.
+        BenchError: another suffix, or matplotlib is not installed.
     """
 
     def paint(axes: Axes) -> None:

@@ -1,11 +1,11 @@
-"""How far an episode came, from what the simulation says, whoever acts.
+"""How far an episode came, judged from the simulation alone.
 
-The steps up to the goal are, in order:
+The milestones are, in order:
 
-- *taken*: the gripper touches the target and nothing else does, for `HELD_STEPS` steps on end;
+- *taken*: only the gripper touches the target, for `HELD_STEPS` consecutive steps;
 - *put down*: after that, the target rests on something, off its goal, and the gripper does not touch it;
-- *re-taken*: after that, it is taken once more;
-- *placed*: the environment counts the task as solved. Where it is solved with the target in the hand, this too.
+- *re-taken*: after that, it is taken again;
+- *placed*: the environment counts the task as solved, even if the target is still in the gripper.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from regrasp_gym.envs.base import RegraspEnv
 
 HELD_STEPS = 3
-"""Steps that the target has to be in the air before it counts as taken."""
+"""Steps that the target must be in the air to count as taken."""
 
 
-class Reached(IntEnum):
-    """The farthest of the steps that an episode came to."""
+class Milestone(IntEnum):
+    """The last milestone of an episode."""
 
     NOTHING = 0
     TAKEN = 1
@@ -39,24 +39,24 @@ class Progress:
     """Watches one episode.
 
     Attributes:
-        reached: the farthest step so far.
+        milestone: the last milestone so far.
     """
 
     def __init__(self) -> None:
-        self.reached = Reached.NOTHING
+        self.milestone = Milestone.NOTHING
         self._held = 0
 
     def watch(self, env: RegraspEnv) -> None:
-        """Look at the present state, once per step."""
+        """Update from the current state; called once per step."""
         if env.is_success:
-            self.reached = Reached.PLACED
+            self.milestone = Milestone.PLACED
             return
         world, tolerance = env.world, env.scenario.tolerance
         touched, supported = world.target_contacts()
         self._held = self._held + 1 if touched and not supported else 0
         if self._held >= HELD_STEPS:
-            after = Reached.RETAKEN if self.reached >= Reached.PUT_DOWN else Reached.TAKEN
-            self.reached = max(self.reached, after)
+            after = Milestone.RETAKEN if self.milestone >= Milestone.PUT_DOWN else Milestone.TAKEN
+            self.milestone = max(self.milestone, after)
         slow = np.linalg.norm(world.target_velocity[:3]) <= tolerance.speed
-        if self.reached == Reached.TAKEN and supported and not touched and slow:
-            self.reached = Reached.PUT_DOWN
+        if self.milestone == Milestone.TAKEN and supported and not touched and slow:
+            self.milestone = Milestone.PUT_DOWN

@@ -1,4 +1,4 @@
-"""The folder of a run: who may write to it, and where reinforcement learning keeps what."""
+"""The folder of a run: its lock, settings and checkpoints."""
 
 from __future__ import annotations
 

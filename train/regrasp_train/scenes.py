@@ -1,4 +1,4 @@
-"""Which scenes are learnt from, and which are held out."""
+"""Scenes to learn from, and held-out scenes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from regrasp_gym.seeds import FIRST_SEED
 
 
 def held_out(env_id: str, split: str) -> tuple[int, dict[str, Any]]:
-    """First seed of a split of an environment's scenes, and the arguments for ``gym.make`` that choose the split."""
+    """First seed of a split of an environment's scenes, and the arguments for ``gym.make`` that select it."""
     if env_id.startswith(("regrasp_gym/PandaYCBDirect-", "regrasp_gym/PandaYCBRegrasp-")):
         return 0, {"split": split}
     return FIRST_SEED[split], {}

@@ -1,4 +1,4 @@
-"""How many threads torch computes with."""
+"""Number of threads of torch."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import os
 
 
 def threads() -> int:
-    """As many as OMP_NUM_THREADS says, else one.
+    """Value of OMP_NUM_THREADS, by default 1.
 
-    The networks here are small, and threads wait for one another: the longer, the more other processes (environments,
-    loading of data) want the same cores.
+    The networks are small, so threads mostly wait for each other, longest when other processes need the same cores.
     """
     return int(os.environ.get("OMP_NUM_THREADS", "1"))

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from regrasp_bench.pictures.studio import (
     COLOURS,
-    IDENTITY,
     Picture,
     Studio,
     arrow,
@@ -24,6 +23,7 @@ from regrasp_planner import stable_poses
 from regrasp_planner.geometry.hull import solid_center
 from regrasp_planner.placement.basins import release_cones
 from regrasp_planner.placement.stab_pose import fibonacci_sphere
+from regrasp_planner.pose import IDENTITY
 
 STONE = "stone"
 """Name of a random convex body, which is not a shipped object."""

@@ -16,10 +16,10 @@ from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.rendering.renderer import SceneRenderer
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import Look, Rgba, add_look, revolve
+from regrasp_planner.pose import IDENTITY
 
 Picture = UInt8[np.ndarray, "H W 3"]
 
-IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])
 
 _PERCENT = "0 45 70 90 45 5 0 62 45 80 25 45 93 75 15 45 30 65 55 35 20 45 75 20 30 75 90 90 60 75 30 35 40 75 10 10"
 COLOURS: tuple[Rgba, ...] = tuple(

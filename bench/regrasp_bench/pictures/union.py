@@ -18,9 +18,9 @@ from regrasp_gym.errors import EnvError
 from regrasp_gym.geometry.poses import Pose
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import VISUAL_GROUP, Look, Rgba, faceted
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_gym.scenes.scene import Fixture
 from regrasp_gym.scenes.scene import Scene as GymScene
-from regrasp_gym.simulation.scenario import RobotSetup
 from regrasp_planner import Grasp, generate_grasps
 from regrasp_planner.pose import rigid, wxyz_xyz
 

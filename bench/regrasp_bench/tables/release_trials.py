@@ -41,9 +41,9 @@ _BATCHES = 4
 
 def prepare(setting: Record) -> Callable[[int], Record]:
     """The function that runs a trial, with the Panda's gripper."""
-    from regrasp_gym.robots.panda import planner_robot
+    from regrasp_gym.robots.panda import PANDA
 
-    return partial(_release, planner_robot().gripper)
+    return partial(_release, PANDA.planner_robot().gripper)
 
 
 def _release(gripper: Gripper, trial: int) -> Record:
@@ -123,14 +123,14 @@ def _planned(
 
 def _retreating(gripper: Gripper, grasp: Grasp) -> RetreatingGripper:
     """The gripper at a grasp. It opens fully and retreats along its approach axis."""
-    from regrasp_planner.robot.gripper import outer_corners, reduce_gripper
+    from regrasp_planner.robot.gripper import enclosing_points, reduce_gripper
 
     turn = Rotation.from_quat(grasp.pose[:4], scalar_first=True)
     screws = np.concatenate([np.zeros((1, 6)), np.asarray(gripper.screws)])
     if screws[:, 3:].any():
         raise BenchError("the fingers turn about hinges: this benchmark needs a gripper with sliding fingers")
     hand = reduce_gripper(gripper).hand
-    bodies = [outer_corners(hand[k]) + grasp.theta * screws[k, :3] for k in range(len(screws))]
+    bodies = [enclosing_points(hand[k]) + grasp.theta * screws[k, :3] for k in range(len(screws))]
     opening = float(gripper.upper) - grasp.theta
     return RetreatingGripper(
         bodies=tuple(turn.apply(body) + grasp.pose[4:] for body in bodies),

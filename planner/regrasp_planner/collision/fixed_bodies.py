@@ -1,14 +1,14 @@
-"""Distances of bodies at many poses from bodies that stay where they are: bounds on the host, then exact ones."""
+"""Distances of bodies at many poses from bodies that stay in place: bounds on the host, then exact ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import RigidTransform
 
-from regrasp_planner.batching import bucket_size
+from regrasp_planner.batching import bucket_size, in_batches
 from regrasp_planner.collision.least_slack import least_slack
 from regrasp_planner.geometry.distance import certified_distance
 from regrasp_planner.geometry.hull import hull_planes
@@ -16,12 +16,17 @@ from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.pose import rigid, wxyz_xyz
 
 VERTEX_BUCKETS = (16, 64)
-CHUNK = 512
+DISTANCE_BATCH = 512
 """Pairs measured in one call of the compiled program."""
 
 
 class FixedBodies:
-    """W bodies at given poses, with what bounds of distances from them need."""
+    """W bodies at fixed poses, with their spheres and facet planes in the world, which bound distances from them.
+
+    Args:
+        bodies: W bodies, each in its own frame.
+        poses: (W, 7) their poses, metres.
+    """
 
     def __init__(self, bodies: Sequence[ConvexBody], poses: Float[np.ndarray, "W 7"]):
         self.bodies, self.poses = tuple(bodies), poses
@@ -29,10 +34,9 @@ class FixedBodies:
         corners = [at.apply(body.hull_vertices()) for body, at in zip(bodies, placed, strict=True)]
         swept = [np.array([0.0, 0.0, 0.0, float(body.radius)]) for body in bodies]
         self._planes = [hull_planes(points) + sweep for points, sweep in zip(corners, swept, strict=True)]
-        self._spheres = np.zeros((len(bodies), 4))
-        for k, (body, at) in enumerate(zip(bodies, placed, strict=True)):
-            center, reach = _sphere(body)
-            self._spheres[k] = *at.apply(center), reach
+        spheres = [_bounding_sphere(body) for body in bodies]
+        self._centers = np.array([at.apply(center) for (center, _), at in zip(spheres, placed, strict=True)])
+        self._radii = np.array([radius for _, radius in spheres])
         self._stacked = _stacked(bodies) if bodies else None
 
     def least_slack(
@@ -42,17 +46,17 @@ class FixedBodies:
         needed: Float[np.ndarray, "M W"],
         cap: float = 0.0,
     ) -> Float[np.ndarray, " n"]:
-        """Least of distance − needed over all pairs, for each of n placements of the moving bodies.
+        """Smallest distance − needed over all pairs, for each of n poses of the moving bodies.
 
         Args:
             moving: M bodies.
             placed: n poses of each.
-            needed: distance asked for between each two bodies, metres; −∞ where none is.
-            cap: values above are not resolved, metres.
+            needed: (M, W) distance that each pair has to keep, metres; −∞ for pairs that may touch.
+            cap: larger values are not resolved, metres.
 
         Returns:
-            (n,) metres: exact between 0 and ``cap``; below 0 some negative value, where a pair is nearer than needed.
-            Distances are those of the hulls, or at most 0.1 mm less.
+            (n,) metres. Values from 0 to ``cap`` are exact: the distances of the hulls, or at most 0.1 mm less. Any
+            negative value means that a pair is nearer than needed; it need not be the smallest.
         """
         count = len(placed[0])
         if count == 0 or not self.bodies:
@@ -64,18 +68,25 @@ class FixedBodies:
 
         def slack(rows: Int[np.ndarray, " L"], pairs: Int[np.ndarray, " L"]) -> Float[np.ndarray, " L"]:
             m, w = np.divmod(pairs, len(self.bodies))
-            assert self._stacked is not None
-            return _distances(stack, m, poses[rows, m], self._stacked, w, self.poses[w]) - flat[pairs]
+            fixed = self._stacked
+            assert fixed is not None
+
+            def distances(some: Int[np.ndarray, " D"]) -> Float[Array, " D"]:
+                i, k = m[some], w[some]
+                # One local maximum is enough: how deep bodies overlap does not matter.
+                return certified_distance(stack[i], poses[rows[some], i], fixed[k], self.poses[k], thorough=False)
+
+            return in_batches(distances, len(pairs), DISTANCE_BATCH) - flat[pairs]
 
         return least_slack(bounds, slack, cap)[0]
 
     def _bounds(
         self, body: ConvexBody, placed: RigidTransform, needed: Float[np.ndarray, " W"], cap: float
     ) -> Float[np.ndarray, "n W"]:
-        """Lower bounds of distance − needed: by spheres, and by facets' planes where those say less than ``cap``."""
-        middle, reach = _sphere(body)
-        offsets = placed.apply(middle)[:, None] - self._spheres[:, :3]
-        slack = np.sqrt((offsets**2).sum(axis=2)) - reach - self._spheres[:, 3] - needed
+        """Lower bounds of distance − needed: by spheres and, where those are below ``cap``, by the facets' planes."""
+        center, extent = _bounding_sphere(body)
+        offsets = placed.apply(center)[:, None] - self._centers
+        slack = np.sqrt((offsets**2).sum(axis=2)) - extent - self._radii - needed
         vertices, radius = body.hull_vertices(), float(body.radius)
         turned = np.einsum("nij,vj->nvi", placed.rotation.as_matrix(), vertices) + placed.translation[:, None]
         for k, planes in enumerate(self._planes):
@@ -85,7 +96,8 @@ class FixedBodies:
         return slack
 
 
-def _sphere(body: ConvexBody) -> tuple[Float[np.ndarray, " 3"], float]:
+def _bounding_sphere(body: ConvexBody) -> tuple[Float[np.ndarray, " 3"], float]:
+    """Sphere about the middle of the box, smaller than `ConvexBody.bounding_sphere`, which is about the centre."""
     vertices = body.hull_vertices()
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return center, float(np.linalg.norm(vertices - center, axis=1).max() + body.radius)
@@ -94,20 +106,3 @@ def _sphere(body: ConvexBody) -> tuple[Float[np.ndarray, " 3"], float]:
 def _stacked(bodies: Sequence[ConvexBody]) -> ConvexBody:
     stack = ConvexBody.stack(bodies)
     return stack.padded_to(vertices=bucket_size(stack.vertices.shape[-2], VERTEX_BUCKETS))
-
-
-def _distances(
-    first: ConvexBody,
-    a: Int[np.ndarray, " L"],
-    poses_a: Float[np.ndarray, "L 7"],
-    second: ConvexBody,
-    b: Int[np.ndarray, " L"],
-    poses_b: Float[np.ndarray, "L 7"],
-) -> Float[np.ndarray, " L"]:
-    result = np.zeros(len(a))
-    for begin in range(0, len(a), CHUNK):
-        some = begin + np.minimum(np.arange(CHUNK), len(a) - begin - 1)
-        # One local maximum is enough: how deep bodies overlap does not matter.
-        gaps = certified_distance(first[a[some]], poses_a[some], second[b[some]], poses_b[some], thorough=False)
-        result[begin : begin + CHUNK] = np.asarray(gaps)[: len(a) - begin]
-    return result

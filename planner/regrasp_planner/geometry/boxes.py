@@ -19,41 +19,56 @@ def box_distance(gap: Sequence[Array]) -> Array:
     return jnp.where(widest > 0, apart, widest)
 
 
+Turns = Float[Array, "3 3 P N"] | Sequence[Sequence[Array]]
+"""Rotation matrices, their entries first: one array, or rows of (P, N) arrays."""
+
+
 def box_bounds(
-    turn_a: Float[Array, "3 3 P N"],
-    turn_b: Float[Array, "3 3 P N"],
-    shift: Float[Array, "3 P N"],
-    half_a: Float[Array, "3 P 1"],
-    half_b: Float[Array, "3 P 1"],
+    turn_a: Turns,
+    turn_b: Turns,
+    shift: Float[Array, "3 P N"] | Sequence[Array],
+    half_a: Float[Array, "3 P 1"] | Float[np.ndarray, "3 P 1"],
+    half_b: Float[Array, "3 P 1"] | Float[np.ndarray, "3 P 1"],
 ) -> Float[Array, "P N"]:
-    """Lower bound of the distance of two boxes: the larger of the gaps seen along the axes of either."""
+    """Lower bound of the distance of two boxes: the larger of the gaps seen along the axes of either.
+
+    In the frame of A, the turned box of B lies in a box with half sizes |R| h. The distance of the two boxes there is
+    a lower bound; so is the one in the frame of B.
+
+    Args:
+        turn_a, turn_b: rotations of the boxes.
+        shift: from the centre of A to the centre of B, metres.
+        half_a, half_b: half sizes, metres.
+    """
     axes = range(3)
-    relative = [[jnp.abs(sum(turn_a[k, i] * turn_b[k, j] for k in axes)) for j in axes] for i in axes]
+    relative = [[jnp.abs(sum(turn_a[k][i] * turn_b[k][j] for k in axes)) for j in axes] for i in axes]
     gaps_a = [
-        jnp.abs(sum(turn_a[k, i] * shift[k] for k in axes)) - half_a[i] - sum(relative[i][j] * half_b[j] for j in axes)
+        jnp.abs(sum(turn_a[k][i] * shift[k] for k in axes)) - half_a[i] - sum(relative[i][j] * half_b[j] for j in axes)
         for i in axes
     ]
     gaps_b = [
-        jnp.abs(sum(turn_b[k, j] * shift[k] for k in axes)) - half_b[j] - sum(relative[i][j] * half_a[i] for i in axes)
+        jnp.abs(sum(turn_b[k][j] * shift[k] for k in axes)) - half_b[j] - sum(relative[i][j] * half_a[i] for i in axes)
         for j in axes
     ]
-    bounds = []
-    for gaps in (gaps_a, gaps_b):
-        largest = jnp.maximum(jnp.maximum(gaps[0], gaps[1]), gaps[2])
-        outside = jnp.sqrt(sum(jnp.maximum(gap, 0.0) ** 2 for gap in gaps))
-        bounds.append(jnp.where(largest > 0, outside, largest))
-    return jnp.maximum(bounds[0], bounds[1])
+    return jnp.maximum(box_distance(gaps_a), box_distance(gaps_b))
 
 
 class Boxes(NamedTuple):
     """Boxes along the axes of their bodies' frames: ``center`` (B, 3) and ``half`` sizes (B, 3), metres."""
 
-    center: Float[np.ndarray, "B 3"]
-    half: Float[np.ndarray, "B 3"]
+    center: Float[Array, "B 3"] | Float[np.ndarray, "B 3"]
+    half: Float[Array, "B 3"] | Float[np.ndarray, "B 3"]
+
+
+def core_boxes(bodies: ConvexBody) -> Boxes:
+    """Boxes about the hulls of stacked bodies, without their sweep."""
+    # The padding lies within the hulls.
+    corners = np.asarray(bodies.vertices)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    return Boxes(0.5 * (low + high), 0.5 * (high - low))
 
 
 def bounding_boxes(bodies: ConvexBody) -> Boxes:
-    """Boxes about stacked bodies, along the axes of each body's own frame."""
-    corners = [bodies[k].hull_vertices() for k in range(bodies.batch_size)]
-    low, high = np.array([each.min(axis=0) for each in corners]), np.array([each.max(axis=0) for each in corners])
-    return Boxes(0.5 * (low + high), 0.5 * (high - low) + np.asarray(bodies.radius)[:, None])
+    """Boxes about stacked bodies with their sweep."""
+    core = core_boxes(bodies)
+    return Boxes(core.center, core.half + np.asarray(bodies.radius)[:, None])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from regrasp_planner.robot.gripper import gripper_corners, reduce_gripper
+from regrasp_planner.robot.gripper import gripper_points, reduce_gripper
 from regrasp_planner.robot.model import Gripper
 
 
@@ -50,9 +50,9 @@ class OpenGripper:
     def corners(self, poses: Float[np.ndarray, "K 7"], thetas: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K G 3"]:
         """Corners of palm and fingers in the target's frame: first opened around the target, then opened wide."""
         wide = np.full(len(thetas), self.upper)
-        parts = [part for theta in (self.opened(thetas), wide) for part in gripper_corners(self.gripper, poses, theta)]
+        parts = [part for theta in (self.opened(thetas), wide) for part in gripper_points(self.gripper, poses, theta)]
         return np.concatenate(parts, axis=1)
 
     def wide_fingers(self, poses: Float[np.ndarray, "K 7"]) -> list[Float[np.ndarray, "K G 3"]]:
         """Corners of both fingers, opened wide, in the target's frame."""
-        return gripper_corners(self.gripper, poses, np.full(len(poses), self.upper))[1:]
+        return gripper_points(self.gripper, poses, np.full(len(poses), self.upper))[1:]

@@ -52,7 +52,7 @@ class TargetModel:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GripperModel:
-    """The gripper of a grasp problem, reduced to few bodies; see `GripperBodies`.
+    """The gripper of a grasp problem, reduced to few bodies; see `ReducedGripper`.
 
     Attributes:
         hand: convex hulls of palm, finger 0 and finger 1, stacked.

@@ -26,12 +26,11 @@ from regrasp_planner.geometry.hull import hull_planes, minimal_width
 from regrasp_planner.grasp.closing import Pads, Poses, clipped, close_fingers, reaches, soft_points
 from regrasp_planner.grasp.grasp import Grasp, GraspResult, NoGraspReason
 from regrasp_planner.grasp.problem import graspable_parts, union_obstacles
-from regrasp_planner.pose import rigid
+from regrasp_planner.pose import IDENTITY, rigid
 from regrasp_planner.robot.gripper import finger_coordinate, reduce_gripper
 from regrasp_planner.robot.model import Gripper
 from regrasp_planner.task import Body, Scene
 
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 BLOCK = 2048
 """Samples looked at together, so that their arrays fit into the processor's cache."""
 TOUCHING = 1e-4

@@ -20,7 +20,7 @@ from regrasp_planner.grasp.closing_axes import closing_axes
 from regrasp_planner.grasp.grasp import GraspGenOptions, StartKind
 from regrasp_planner.grasp.open_gripper import OpenGripper
 from regrasp_planner.grasp.problem import graspable_parts
-from regrasp_planner.robot.gripper import finger_coordinate, moved_points, outer_corners, reduce_gripper
+from regrasp_planner.robot.gripper import enclosing_points, finger_coordinate, finger_points, reduce_gripper
 from regrasp_planner.robot.model import Gripper
 from regrasp_planner.task import Body
 
@@ -132,7 +132,7 @@ def grasp_starts(
     # The pads touch the outermost points of the part between them. A round pad is set back away from its middle.
     planes = hull_planes(parts[part])
     lines, recess = _pad_lines(reduced.pads[0], width_axis)
-    lines = moved_points(lines, np.asarray(gripper.screws)[0], closed[index])
+    lines = finger_points(lines, np.asarray(gripper.screws)[0], closed[index])
     lines = lines - (lines @ width_axis)[..., None] * width_axis
     over = origins[:, None] + lines @ turns[index].swapaxes(1, 2)
     enter, leave = clip_lines(over, closing[index], planes)
@@ -192,9 +192,9 @@ def _approaches(
 def _fronts(gripper: Gripper, opened: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K P 3"]:
     """Points on the fronts of the palm and of both fingers, opened to each θ, in the gripper frame."""
     axis, hand = np.asarray(gripper.approach_axis), reduce_gripper(gripper).hand
-    palm, *fingers = (_face(outer_corners(hand[k]), axis) for k in range(3))
+    palm, *fingers = (_face(enclosing_points(hand[k]), axis) for k in range(3))
     moved = [
-        moved_points(front, screw, opened) for front, screw in zip(fingers, np.asarray(gripper.screws), strict=True)
+        finger_points(front, screw, opened) for front, screw in zip(fingers, np.asarray(gripper.screws), strict=True)
     ]
     return np.concatenate([np.broadcast_to(palm, (len(opened), *palm.shape)), *moved], axis=1)
 
@@ -207,7 +207,7 @@ def _under_palm(
 ) -> Float[np.ndarray, " K"]:
     """How far the gripper moves forward until the palm meets the first of the target's corners in front of it."""
     axis, reduced = np.asarray(gripper.approach_axis), reduce_gripper(gripper)
-    palm = outer_corners(reduced.hand[0])
+    palm = enclosing_points(reduced.hand[0])
     local = (corners - origins[:, None]) @ turns
     level = 1.0 - np.abs(axis)
     inside = ((local >= palm.min(axis=0)) & (local <= palm.max(axis=0)) | (level < 0.5)).all(axis=2)

@@ -1,1 +1,1 @@
-"""Inverse kinematics: IkSolve, and straight lines of the gripper."""
+"""Inverse kinematics: IkSolve, graded reachability, and straight lines of the gripper."""

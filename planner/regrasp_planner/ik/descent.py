@@ -6,38 +6,74 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from regrasp_planner.robot.kinematics import forward_kinematics, gripper_jacobian, pose_error
 from regrasp_planner.robot.model import Arm
 
+POSITION_TOLERANCE = 1e-4
+ROTATION_TOLERANCE = 1e-3
+"""Largest errors of a solution, metres and radians."""
 CONVERGED_POSITION = 1e-6
 CONVERGED_ROTATION = 1e-6
+"""Errors below which a lane stops."""
 POLISH = 2
-"""Iterations after the last that was needed: they bring lanes that were nearly there to full precision."""
+"""Extra iterations once there are enough solutions. They bring lanes that have nearly converged to full precision."""
 ROTATION_LENGTH = 0.25
-"""Metres that count as much as a radian in the pose error: about the distance of the wrist's axes from the tool."""
+"""Metres per radian in the pose error: about the distance of the wrist's axes from the tool."""
 
 
-class Reached(NamedTuple):
-    """Configurations found by `reach`, for L lanes.
+class Descent(NamedTuple):
+    """Where descents ended, one per lane: K targets × S starts, or any other batch.
 
     Attributes:
-        q: (L, n) radians, within the limits.
-        position_error: (L,) metres.
-        rotation_error: (L,) radians.
+        q: (*lanes, n) radians, within the limits.
+        position_error: (*lanes,) metres.
+        rotation_error: (*lanes,) radians.
     """
 
-    q: Float[Array, "L n"]
-    position_error: Float[Array, " L"]
-    rotation_error: Float[Array, " L"]
+    q: Float[np.ndarray, "*lanes n"]
+    position_error: Float[np.ndarray, "*lanes"]
+    rotation_error: Float[np.ndarray, "*lanes"]
+
+    def pose_error(self) -> Float[np.ndarray, "*lanes"]:
+        """Position and rotation error as one length in metres; a radian counts as `ROTATION_LENGTH`."""
+        return self.position_error + ROTATION_LENGTH * self.rotation_error
+
+    def solved(self) -> Bool[np.ndarray, "*lanes"]:
+        """Whether both errors are within the tolerances."""
+        return (self.position_error < POSITION_TOLERANCE) & (self.rotation_error < ROTATION_TOLERANCE)
+
+
+def descend_to_pose(
+    arm: Arm, targets: Float[np.ndarray, "K 7"], starts: Float[np.ndarray, "K S n"], enough: int, max_iterations: int
+) -> Descent:
+    """Descend from S starts for each of K targets until the gripper frame is at the target.
+
+    Damped least squares with the damping of Sugihara ("Solvability-unconcerned inverse kinematics by the
+    Levenberg–Marquardt method", IEEE T-RO 2011). The damping is proportional to the squared error: robust far away,
+    quadratic near a solution. A joint at its limit is held if the step would push it outwards.
+
+    Args:
+        arm: the chain with its limits.
+        targets: (K, 7) poses of the gripper frame in the world.
+        starts: (K, S, n) radians; clipped to the limits first.
+        enough: stop once every target has this many solutions.
+        max_iterations: largest number of iterations.
+
+    Returns:
+        K × S lanes. Lanes that have not converged have larger errors.
+    """
+    ends = _descend(arm, jnp.asarray(targets), jnp.asarray(starts), jnp.asarray(enough), jnp.asarray(max_iterations))
+    return Descent(*(np.asarray(leaf).reshape(*starts.shape[:2], *leaf.shape[1:]) for leaf in ends))
 
 
 def solve_positive(matrix: Float[Array, "m m"], right: Float[Array, " m"]) -> Float[Array, " m"]:
     """Solution of a small symmetric positive definite system.
 
-    Cholesky's factorisation written out in scalars: over a batch each step is one vector operation, where a LAPACK
-    call per matrix would cost more than all else in the solver.
+    Cholesky's factorisation, written out in scalars. Over a batch each step is one vector operation; a LAPACK call per
+    matrix would cost more than the rest of the solver.
     """
     size = right.shape[0]
     low: list[list[Array]] = [[] for _ in range(size)]
@@ -56,47 +92,23 @@ def solve_positive(matrix: Float[Array, "m m"], right: Float[Array, " m"]) -> Fl
 
 class _State(NamedTuple):
     q: Float[Array, "L n"]
-    error: Float[Array, "L 6"]
-    done: Bool[Array, " L"]
     iterations: Int[Array, ""]
     polish: Int[Array, ""]
 
 
 @jax.jit
-def reach(
-    arm: Arm,
-    targets: Float[Array, "K 7"],
-    starts: Float[Array, "K S n"],
-    enough: Int[Array, ""],
-    max_iterations: Int[Array, ""],
-) -> Reached:
-    """Configurations whose gripper frame is at the targets, from S starts for each of K targets.
-
-    Damped least squares with the damping of Sugihara ("Solvability-unconcerned inverse kinematics by the
-    Levenberg–Marquardt method", IEEE T-RO 2011): proportional to the squared error, so that it is robust far away and
-    quadratic near a solution. Joints at a limit that the step would push outwards are held.
-
-    Args:
-        arm: the chain with its limits.
-        targets: (K, 7) wanted poses of the gripper frame in the world.
-        starts: (K, S, n) radians; brought within the limits first.
-        enough: stop once every target has this many solutions.
-        max_iterations: cap.
-
-    Returns:
-        `Reached` for L = K·S lanes, target by target. Lanes still on their way have larger errors.
-    """
+def _descend(
+    arm: Arm, targets: Float[Array, "K 7"], starts: Float[Array, "K S n"], enough: Array, max_iterations: Array
+) -> tuple[Float[Array, "L n"], Float[Array, " L"], Float[Array, " L"]]:
+    """Configurations and errors of L = K·S lanes, target by target; see `descend_to_pose`."""
     n_targets, n_starts, dof = starts.shape
     goals = jnp.repeat(targets, n_starts, axis=0)
     scale = jnp.array([1.0] * 3 + [ROTATION_LENGTH] * 3)
 
-    def look(q: Float[Array, " n"], goal: Float[Array, " 7"]) -> tuple[Float[Array, " 6"], Float[Array, "6 n"]]:
-        frames = forward_kinematics(arm, q)
-        return pose_error(frames[-1], goal), gripper_jacobian(arm, frames)
-
     def step(q: Float[Array, " n"], goal: Float[Array, " 7"]) -> tuple[Float[Array, " n"], Float[Array, " 6"]]:
-        error, jacobian = look(q, goal)
-        e, j = scale * error, scale[:, None] * jacobian
+        frames = forward_kinematics(arm, q)
+        error = pose_error(frames[-1], goal)
+        e, j = scale * error, scale[:, None] * gripper_jacobian(arm, frames)
         slope = e @ j
         held = ((q <= arm.lower) & (slope < 0)) | ((q >= arm.upper) & (slope > 0))
         j = jnp.where(held, 0.0, j)
@@ -112,15 +124,12 @@ def reach(
         done = near & (jnp.linalg.norm(error[:, 3:], axis=1) < CONVERGED_ROTATION)
         solved = done.reshape(n_targets, n_starts).sum(1)
         settled = jnp.all(solved >= jnp.minimum(enough, n_starts))
-        moved = jnp.where(done[:, None], state.q, moved)
-        return _State(moved, error, done, state.iterations + 1, state.polish - settled)
+        return _State(jnp.where(done[:, None], state.q, moved), state.iterations + 1, state.polish - settled)
 
     def unfinished(state: _State) -> Bool[Array, ""]:
         return (state.iterations < max_iterations) & (state.polish > 0)
 
-    q = jnp.clip(starts.reshape(-1, dof), arm.lower, arm.upper)
-    lanes = q.shape[0]
-    begin = _State(q, jnp.full((lanes, 6), jnp.inf), jnp.zeros(lanes, bool), jnp.asarray(0), jnp.asarray(POLISH))
-    end = jax.lax.while_loop(unfinished, body, begin)
-    error = jax.vmap(lambda q, goal: pose_error(forward_kinematics(arm, q)[-1], goal))(end.q, goals)
-    return Reached(end.q, jnp.linalg.norm(error[:, :3], axis=1), jnp.linalg.norm(error[:, 3:], axis=1))
+    begin = _State(jnp.clip(starts.reshape(-1, dof), arm.lower, arm.upper), jnp.asarray(0), jnp.asarray(POLISH))
+    q = jax.lax.while_loop(unfinished, body, begin).q
+    error = jax.vmap(lambda q, goal: pose_error(forward_kinematics(arm, q)[-1], goal))(q, goals)
+    return q, jnp.linalg.norm(error[:, :3], axis=1), jnp.linalg.norm(error[:, 3:], axis=1)

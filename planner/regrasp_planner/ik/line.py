@@ -1,6 +1,6 @@
-"""Straight lines of the gripper: inverse kinematics continued along a line with fixed orientation, on the host.
+"""Straight lines of the gripper: inverse kinematics from waypoint to waypoint of a line, on the host.
 
-One configuration at a time, so plain NumPy: a compiled batch would be slower here.
+Each configuration starts from the one before, so this is plain NumPy: a compiled batch would be slower.
 """
 
 from __future__ import annotations
@@ -9,15 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
+from regrasp_planner.pose import rigid
 from regrasp_planner.robot.model import Arm
 
 _STEP = 0.005
-"""Length of line between two solved configurations, metres."""
+"""Metres between two configurations."""
 _TURN = 0.02
-"""Turn between two solved configurations, radians."""
+"""Radians between two configurations."""
 _TOLERANCE = 2e-5
-"""Pose error that counts as on the line (metres, and radians)."""
+"""Largest pose error on the line, metres and radians."""
 
 
 class ArmKinematics:
@@ -25,11 +27,11 @@ class ArmKinematics:
 
     def __init__(self, arm: Arm):
         self.lower, self.upper = np.asarray(arm.lower, float), np.asarray(arm.upper, float)
-        self._base = _matrix(np.asarray(arm.base, float))
-        self._tool = _matrix(np.asarray(arm.tool, float))
-        self._origins = [_matrix(pose) for pose in np.asarray(arm.origins, float)]
+        self._base, self._tool = rigid(np.asarray(arm.base)).as_matrix(), rigid(np.asarray(arm.tool)).as_matrix()
+        self._origins = rigid(np.asarray(arm.origins)).as_matrix()
         self._axes = np.asarray(arm.axes, float)
-        self._cross = np.stack([_cross_matrix(axis) for axis in self._axes])
+        # Rodrigues' formula: once per joint and call, where scipy's rotations would take most of the time.
+        self._cross = np.cross(np.eye(3), self._axes[:, None])
         self._cross_squared = self._cross @ self._cross
 
     def gripper(self, q: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 n"]]:
@@ -53,14 +55,14 @@ class Line:
     """Configurations along a line of the gripper.
 
     Attributes:
-        configurations: (K, n) radians, the start first; as far as the line could be followed.
-        fraction: share of the line that could be followed; 1 if all of it.
-        limited: index of the joint whose limit ended it, or None (then the arm does not reach further).
+        configurations: (K, n) radians, from the start as far as the line could be followed.
+        fraction: fraction of the line that could be followed.
+        limiting_joint: index of the joint whose limit ended the line; None if the line is complete or out of reach.
     """
 
     configurations: Float[np.ndarray, "K n"]
     fraction: float
-    limited: int | None
+    limiting_joint: int | None
 
 
 def follow_line(
@@ -70,34 +72,36 @@ def follow_line(
     turn: Float[np.ndarray, 3] | None = None,
     coarse: bool = False,
 ) -> Line:
-    """Move the gripper frame along a straight line from where it is at ``start``.
+    """Move the gripper frame along a straight line from its pose at ``start``.
 
-    Damped Newton steps of least joint motion; a joint that reaches a limit stays there and the others go on.
+    Damped Newton steps of least joint motion. A joint at its limit stays there, and the others go on.
 
     Args:
-        kinematics: of the arm.
-        start: (n,) radians, within limits.
-        displacement: (3,) of the gripper frame's origin, world axes, metres.
+        kinematics: kinematics of the arm.
+        start: (n,) radians, within the limits.
+        displacement: (3,) displacement of the gripper frame's origin, world axes, metres.
         turn: (3,) rotation vector in world axes applied evenly along the line; None keeps the orientation.
-        coarse: five times longer steps, for a rough idea of where the line leads.
+        coarse: take steps five times as long, for a rough line.
     """
     displacement = np.asarray(displacement, float)
-    turn = np.zeros(3) if turn is None else np.asarray(turn, float)
-    extent = max(float(np.linalg.norm(displacement)) / _STEP, float(np.linalg.norm(turn)) / _TURN)
+    angle = 0.0 if turn is None else float(np.linalg.norm(turn))
+    extent = max(float(np.linalg.norm(displacement)) / _STEP, angle / _TURN)
     count = int(np.ceil((extent / 5 if coarse else extent) - 1e-9))
     origin, _ = kinematics.gripper(start)
+    steps = np.arange(1, count + 1)[:, None]
+    goals = np.tile(origin, (count, 1, 1))
+    goals[:, :3, 3] += displacement * steps / count
+    if turn is not None:
+        goals[:, :3, :3] = Rotation.from_rotvec(turn * steps / count).as_matrix() @ origin[:3, :3]
     q = np.asarray(start, float)
     out = [q]
-    for k in range(1, count + 1):
-        goal = origin.copy()
-        goal[:3, 3] += displacement * k / count
-        goal[:3, :3] = _rotation(turn * k / count) @ origin[:3, :3]
+    for k, goal in enumerate(goals):
         # Linear prediction from the last step halves the Newton steps.
         guess = q if len(out) < 2 else np.clip(2 * q - out[-2], kinematics.lower, kinematics.upper)
-        solved, reached = _newton(kinematics, guess, goal)
-        if not reached or np.abs(solved - q).max() > (0.6 if coarse else 0.2):
+        solved, converged = _newton(kinematics, guess, goal)
+        if not converged or np.abs(solved - q).max() > (0.6 if coarse else 0.2):
             at_limit = np.flatnonzero(np.minimum(solved - kinematics.lower, kinematics.upper - solved) < 1e-9)
-            return Line(np.array(out), (k - 1) / count, int(at_limit[0]) if len(at_limit) else None)
+            return Line(np.array(out), k / count, int(at_limit[0]) if len(at_limit) else None)
         q = solved
         out.append(q)
     return Line(np.array(out), 1.0, None)
@@ -106,7 +110,7 @@ def follow_line(
 def _newton(
     kinematics: ArmKinematics, guess: Float[np.ndarray, " n"], goal: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, " n"], bool]:
-    """Configuration near the guess whose gripper pose is the goal; false with the last iterate if there is none."""
+    """The configuration near the guess whose gripper pose is the goal, and whether the iteration converged."""
     q = guess
     for _ in range(12):
         pose, jacobian = kinematics.gripper(q)
@@ -114,7 +118,7 @@ def _newton(
         if np.abs(error).max() < _TOLERANCE:
             return q, True
         step = _damped_step(jacobian, error)
-        # Joints that the step would push through their limit are taken out, once; then the rest solves again.
+        # Joints that the step would push beyond a limit stop there, and the step of the others is solved again, once.
         blocked = (q + step > kinematics.upper + 1e-12) | (q + step < kinematics.lower - 1e-12)
         if blocked.any():
             stop = np.clip(q + step, kinematics.lower, kinematics.upper) - q
@@ -130,29 +134,11 @@ def _damped_step(jacobian: Float[np.ndarray, "6 n"], error: Float[np.ndarray, 6]
     return step * min(1.0, 0.2 / longest) if longest > 0 else step
 
 
-def _matrix(pose: Float[np.ndarray, 7]) -> Float[np.ndarray, "4 4"]:
-    w, x, y, z = pose[:4] / np.linalg.norm(pose[:4])
-    cross = _cross_matrix(np.array([x, y, z]))
-    out = np.eye(4)
-    out[:3, :3] += 2 * w * cross + 2 * cross @ cross
-    out[:3, 3] = pose[4:]
-    return out
-
-
-def _cross_matrix(v: Float[np.ndarray, 3]) -> Float[np.ndarray, "3 3"]:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _rotation(vector: Float[np.ndarray, 3]) -> Float[np.ndarray, "3 3"]:
-    """exp of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    cross = _cross_matrix(vector)
-    # sinc keeps both factors finite at zero.
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
-
-
 def _rotation_vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, 3]:
-    """log of a rotation by less than π/2: the skew part, exact up to the factor angle / sin(angle)."""
+    """Logarithm of a rotation by less than π/2: its skew part times angle / sin(angle).
+
+    Once per Newton step, where scipy's logarithm would take a good part of the time.
+    """
     skew = 0.5 * np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )

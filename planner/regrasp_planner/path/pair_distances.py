@@ -12,8 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from regrasp_planner.path.pair_kernels import JointAxes, bound_pairs, chain_of_pairs, measure_pairs
+from regrasp_planner.path.pair_kernels import bound_pairs, chain_of_pairs, measure_pairs
 from regrasp_planner.path.space import ConfigurationSpace
+from regrasp_planner.robot.kinematics import JointAxes
 
 _CONFIGURATIONS = 32
 """Configurations bounded at once: their pairs stay in the cache."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -14,7 +12,7 @@ from regrasp_planner.collision.model import CollisionArrays, CollisionModel, bod
 from regrasp_planner.geometry.boxes import box_bounds
 from regrasp_planner.geometry.distance import hull_gap, separation
 from regrasp_planner.geometry.support import ConvexBody
-from regrasp_planner.robot.kinematics import forward_kinematics
+from regrasp_planner.robot.kinematics import JointAxes, forward_kinematics, joint_axes
 
 _ROUNDING = 2e-6
 """What single precision may get wrong in a lower bound, metres, for a workspace of a few metres."""
@@ -32,18 +30,6 @@ def chain_of_pairs(model: CollisionModel) -> tuple[Float[np.ndarray, "P n"], Int
     number = np.arange(1, dof + 1)
     sign = (number <= second[:, None]).astype(float) - (number <= first[:, None]).astype(float)
     return sign, np.where(first >= second, pairs[:, 0], pairs[:, 1]).astype(np.int32)
-
-
-class JointAxes(NamedTuple):
-    """The joints' axes in the world, for N configurations.
-
-    Attributes:
-        axis: (N, n, 3) unit vectors.
-        point: (N, n, 3) a point on each axis, metres.
-    """
-
-    axis: Float[Array, "N n 3"] | Float[np.ndarray, "N n 3"]
-    point: Float[Array, "N n 3"] | Float[np.ndarray, "N n 3"]
 
 
 @jax.jit
@@ -64,17 +50,16 @@ def bound_pairs(
         world poses of the bodies; the joints' axes.
     """
     poses = jax.vmap(lambda one: body_frames(arrays, one, theta))(q)
-    frames = jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q)[:, 1:-1]
-    axis, point = jaxlie.SO3(frames[..., :4]) @ arrays.robot.arm.axes[None], frames[..., 4:]
-    centers = jaxlie.SE3(poses) @ arrays.box_center[None]
-    extent = jnp.linalg.norm(arrays.box_half, axis=-1) + arrays.bodies.radius
+    axis, point = joint_axes(arrays.robot.arm, jax.vmap(lambda one: forward_kinematics(arrays.robot.arm, one))(q))
+    centers = jaxlie.SE3(poses) @ arrays.boxes.center[None]
+    extent = jnp.linalg.norm(arrays.boxes.half, axis=-1) + arrays.bodies.radius
     arm = centers[:, :, None, :] - point[:, None]
     along = (arm * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
     radius = jnp.linalg.norm(arm - along, axis=-1) + extent[:, None]
 
     rotations = jnp.moveaxis(jaxlie.SO3(poses[..., :4]).as_matrix().astype(jnp.float32), (0, 1), (3, 2))
     place = jnp.moveaxis(centers.astype(jnp.float32), (0, 1), (2, 1))
-    half = arrays.box_half.T.astype(jnp.float32)[:, :, None]
+    half = arrays.boxes.half.T.astype(jnp.float32)[:, :, None]
     a, b = arrays.pairs[:, 0], arrays.pairs[:, 1]
     sweep = (arrays.bodies.radius[a] + arrays.bodies.radius[b]).astype(jnp.float32)[:, None]
     bounds = box_bounds(rotations[:, :, a], rotations[:, :, b], place[:, b] - place[:, a], half[:, a], half[:, b])

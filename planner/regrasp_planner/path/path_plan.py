@@ -170,8 +170,8 @@ def _failure(
 def _out_of_reach(space: ConfigurationSpace, line: Line, length: float) -> PathResult:
     done = line.fraction * length * space.model.arrays.robot.unit
     cause = "the arm does not reach further"
-    if line.limited is not None:
-        cause = f"joint {space.arm.joint_names[line.limited]!r} reaches its limit"
+    if line.limiting_joint is not None:
+        cause = f"joint {space.arm.joint_names[line.limiting_joint]!r} reaches its limit"
     status = PathStatus.LINE_OUT_OF_REACH
     message = f"{status.value}: {cause} after {done * 1e3:.0f} mm"
     return PathResult(status, message, configuration=line.configurations[-1], stats={"iterations": 0})

@@ -1,10 +1,13 @@
-"""Forward kinematics of arm and gripper, and the gripper's Jacobian."""
+"""Forward kinematics of arm and gripper, the joints' axes, and the gripper's Jacobian."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 from jaxtyping import Array, Float
 
 from regrasp_planner.geometry.support import ConvexBody
@@ -12,17 +15,17 @@ from regrasp_planner.robot.model import Arm, Robot
 
 
 def forward_kinematics(arm: Arm, q: Float[Array, " n"]) -> Float[Array, "n+2 7"]:
-    """Poses of links 0…n and of the gripper frame in the world.
+    """Poses of links 0…n and of the gripper frame in the world, by the product of exponentials in the joint frames.
 
     Args:
         arm: the chain.
         q: (n,) joint positions, radians.
 
     Returns:
-        (n + 2, 7) wxyz_xyz: link 0, links 1…n, gripper frame. Product of exponentials in the joint frames.
+        (n + 2, 7) wxyz_xyz: link 0, links 1…n, gripper frame. Metres.
     """
 
-    # Scalars in a scan: ten times faster over a batch than matrix products of 3×3, and quick to compile.
+    # Scalars in a scan: over a batch ten times faster than 3×3 matrix products, and quick to compile.
     def advance(pose: _Motion, joint: tuple[Array, Array, Array]) -> tuple[_Motion, Float[Array, " 7"]]:
         origin, axis, angle = joint
         rotation, shift = _compose(pose, _motion(origin))
@@ -70,13 +73,17 @@ def robot_bodies(robot: Robot) -> ConvexBody:
 
 
 def body_poses(robot: Robot, q: Float[Array, " n"], theta: Float[Array, ""]) -> Float[Array, "B+P+F 7"]:
-    """World poses of all bodies in the order of `robot_bodies`, (B + P + F, 7) wxyz_xyz."""
+    """World poses (B + P + F, 7), wxyz_xyz in metres, of all bodies in the order of `robot_bodies`.
+
+    Args:
+        robot: the robot.
+        q: (n,) joint positions, radians.
+        theta: () finger coordinate θ.
+    """
     frames = forward_kinematics(robot.arm, q)
-    hand = jaxlie.SE3(frames[-1])
-    n_palm = robot.gripper.palm.batch_size
-    palm = jnp.broadcast_to(frames[-1], (n_palm, 7))
-    moved = (hand @ jaxlie.SE3(robot.gripper.finger_motion(theta))).wxyz_xyz
-    return jnp.concatenate([frames[robot.link_of], palm, moved])
+    palm = jnp.broadcast_to(frames[-1], (robot.gripper.palm.batch_size, 7))
+    fingers = (jaxlie.SE3(frames[-1]) @ jaxlie.SE3(robot.gripper.finger_motion(theta))).wxyz_xyz
+    return jnp.concatenate([frames[robot.link_of], palm, fingers])
 
 
 def pose_error(pose: Float[Array, " 7"], target: Float[Array, " 7"]) -> Float[Array, " 6"]:
@@ -85,7 +92,25 @@ def pose_error(pose: Float[Array, " 7"], target: Float[Array, " 7"]) -> Float[Ar
     return jnp.concatenate([target[4:] - pose[4:], turn])
 
 
+class JointAxes(NamedTuple):
+    """The joints' axes in the world.
+
+    Attributes:
+        axis: (…, n, 3) unit vectors.
+        point: (…, n, 3) a point on each axis, metres.
+    """
+
+    axis: Float[Array, "*N n 3"] | Float[np.ndarray, "*N n 3"]
+    point: Float[Array, "*N n 3"] | Float[np.ndarray, "*N n 3"]
+
+
+def joint_axes(arm: Arm, frames: Float[Array, "*N n+2 7"]) -> JointAxes:
+    """The joints' axes, from the frames (…, n + 2, 7) of `forward_kinematics`."""
+    joints = frames[..., 1:-1, :]
+    return JointAxes(jaxlie.SO3(joints[..., :4]) @ arm.axes, joints[..., 4:])
+
+
 def gripper_jacobian(arm: Arm, frames: Float[Array, "n+2 7"]) -> Float[Array, "6 n"]:
     """Derivative of the gripper frame's position and rotation (world axes) by the joints, from `forward_kinematics`."""
-    axes = jaxlie.SO3(frames[1:-1, :4]) @ arm.axes
-    return jnp.concatenate([jnp.cross(axes, frames[-1, 4:] - frames[1:-1, 4:]), axes], axis=1).T
+    axis, point = joint_axes(arm, frames)
+    return jnp.concatenate([jnp.cross(axis, frames[-1, 4:] - point), axis], axis=1).T

@@ -1,4 +1,4 @@
-"""Robots as the planner sees them: a serial arm, a gripper with fingers driven as one, and convex bodies on both."""
+"""Robots in the planner: a serial arm, a gripper whose two fingers are driven together, and convex bodies on both."""
 
 from __future__ import annotations
 
@@ -49,20 +49,20 @@ class Arm:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Gripper:
-    """Two-finger gripper whose finger joints are driven as one by the scalar finger coordinate θ.
+    """Two-finger gripper: one scalar, the finger coordinate θ, drives both fingers.
 
-    The gripper frame has its origin at the grasp centre between the finger pads (the tool centre point). Finger k
-    moves relative to the gripper frame by ``exp(θ · screws[k])`` from its pose at θ = 0, where ``screws[k]`` is a
-    twist (linear, angular): a pure translation for a sliding finger, a rotation about a hinge for a swinging jaw.
+    The origin of the gripper frame is the grasp centre between the finger pads (the tool centre point). Finger k moves
+    in the gripper frame by ``exp(θ · screws[k])`` from its pose at θ = 0. The twist ``screws[k]`` (linear, angular) is
+    a translation for a sliding finger, and a rotation about a hinge for a swinging jaw.
 
     Attributes:
         palm: (P, …) bodies fixed to the gripper frame, stacked.
         fingers: (F, …) bodies that move with a finger, stacked, in the gripper frame at θ = 0.
-        finger_of: (F,) which finger (0 or 1) each of ``fingers`` moves with.
-        contact: (2,) indices into ``fingers``: the pad of finger 0 and of finger 1, meant to touch the target.
+        finger_of: (F,) finger (0 or 1) that each of ``fingers`` belongs to.
+        contact: (2,) indices into ``fingers``: the pads of finger 0 and finger 1, which touch the target.
         screws: (2, 6) twist (v, ω) per unit θ of each finger in the gripper frame.
-        lower, upper: () limits of θ. For sliding fingers θ is the travel of each finger in metres, so the opening
-            is 2θ; for jaws θ is an angle in radians. Larger θ is wider.
+        lower, upper: () limits of θ: metres for sliding fingers, where θ is the travel of each finger and the opening
+            is 2θ; radians for jaws. Larger θ is wider.
         width_axis: (3,) unit axis Z_G along which the fingers close, in the gripper frame.
         approach_axis: (3,) unit axis pointing out of the palm towards the object, in the gripper frame.
         max_opening: () widest gap between the pads, metres.
@@ -80,7 +80,7 @@ class Gripper:
     max_opening: Float[Array, ""]
 
     def finger_motion(self, theta: Float[Array, ""]) -> Float[Array, "F 7"]:
-        """Pose of each finger body in the gripper frame, relative to θ = 0: exp(θ ξ), (F, 7) wxyz_xyz."""
+        """Motion (F, 7), wxyz_xyz, of each finger body from θ = 0 to ``theta`` in the gripper frame: exp(θ ξ)."""
         return jaxlie.SE3.exp(theta * self.screws).wxyz_xyz[self.finger_of]
 
 
@@ -96,7 +96,7 @@ class Robot:
         link_of: (B,) link (0…n) each body is fixed to.
         self_pairs: (S, 2) pairs to check for self-collision. Indices count the bodies of ``links`` first (0…B−1),
             then ``gripper.palm`` (B…B+P−1), then ``gripper.fingers``.
-        home: (n,) a comfortable configuration, radians.
+        home: (n,) rest configuration, away from joint limits, radians.
         name: for messages.
         unit: metres per unit of length in this description, for messages; see `regrasp_planner.stages.scale`.
     """
@@ -110,12 +110,17 @@ class Robot:
     name: str = field(metadata={"static": True})
     unit: float = field(default=1.0, metadata={"static": True})
 
+    @property
+    def body_count(self) -> int:
+        """Number of bodies B + P + F: on the links, of the palm, and of the fingers."""
+        return self.links.batch_size + self.gripper.palm.batch_size + self.gripper.fingers.batch_size
+
 
 def check_configuration(robot: Robot, q: np.ndarray) -> None:
     """Raise ``ValueError`` if q has the wrong shape, is not finite, or is outside the limits by more than 1e-6 rad."""
     q = np.asarray(q, float)
     if q.shape != (robot.arm.dof,):
-        raise ValueError(f"configuration has shape {q.shape}, robot {robot.name!r} needs ({robot.arm.dof},)")
+        raise ValueError(f"configuration has shape {q.shape}; robot {robot.name!r} needs ({robot.arm.dof},)")
     if not np.isfinite(q).all():
         raise ValueError(f"configuration of robot {robot.name!r} is not finite: {q}")
     low, high = np.asarray(robot.arm.lower), np.asarray(robot.arm.upper)

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from regrasp_planner.collision.model import IDENTITY, CollisionModel, collision_model
+from regrasp_planner.collision.model import CollisionModel, collision_model
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp.grasp import Grasp
-from regrasp_planner.pose import Pose, rigid, wxyz_xyz
+from regrasp_planner.pose import IDENTITY, Pose, rigid, wxyz_xyz
 from regrasp_planner.robot.model import Robot
 from regrasp_planner.stages.options import MotionOptions
 from regrasp_planner.task import Body, Obstacle

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from regrasp_planner.grasp.grasp import Grasp
-from regrasp_planner.ik.descent import reach
-from regrasp_planner.ik.ik_solve import POSITION_TOLERANCE, ROTATION_TOLERANCE
+from regrasp_planner.ik.descent import descend_to_pose
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.robot.kinematics import forward_kinematics
 from regrasp_planner.robot.model import Robot
@@ -97,9 +96,9 @@ def _configurations(stages: StageSearch, batch: Sequence[Grasp]) -> list[GraspIk
     for ik in stages.grasp_ik(grasps, pose) if grasps else ():
         goal = ik.grasp.gripper_pose(pose)
         turn = float((now.inv() * rigid(goal)).rotation.magnitude())
-        near = reach(arm, goal[None], start[None, None], np.asarray(1), np.asarray(_ITERATIONS))
-        if near.position_error[0] < POSITION_TOLERANCE and near.rotation_error[0] < ROTATION_TOLERANCE:
-            found.append((False, turn, replace(ik, configurations=(np.asarray(near.q[0]),))))
+        near = descend_to_pose(arm, goal[None], start[None, None], 1, _ITERATIONS)
+        if near.solved()[0, 0]:
+            found.append((False, turn, replace(ik, configurations=(near.q[0, 0],))))
         for q in ik.configurations:
             found.append((True, turn + 0.1 * float(np.abs(q - start).max()), replace(ik, configurations=(q,))))
     return [ik for *_, ik in sorted(found, key=lambda each: each[:2])]

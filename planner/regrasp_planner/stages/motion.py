@@ -6,7 +6,7 @@ first, from the configurations at the grasp outwards, since they fail soonest; t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
 from typing import NamedTuple, Protocol
@@ -96,6 +96,14 @@ class _Lines(NamedTuple):
     opening: float
     lift: Trajectory
 
+    def pick(self) -> ApproachDepart:
+        """To the target with the empty gripper, and up with the target."""
+        return ApproachDepart(self.withdraw.reversed(), self.lift, self.opening)
+
+    def place(self) -> ApproachDepart:
+        """Down with the target, and off it with the empty gripper."""
+        return ApproachDepart(self.lift.reversed(), self.withdraw, self.opening)
+
 
 class StageMotion:
     """Plans the motion of stages.
@@ -114,24 +122,22 @@ class StageMotion:
     def pick_motions(self, kind: StageKind, ik: GraspIk) -> LazyMotions:
         """Approach and lift at the pick."""
         tried = self._lines(kind, ik, (ik.grasp.opening,), self.options.lift, (SegmentKind.APPROACH, SegmentKind.LIFT))
-        motions = (
-            lines
-            if isinstance(lines, Failure)
-            else ApproachDepart(lines.withdraw.reversed(), lines.lift, lines.opening)
-            for lines in tried
-        )
-        return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
+        return self._motions(kind, ik, tried, _Lines.pick)
 
     def place_motions(self, kind: StageKind, ik: GraspIk, wide: bool = False) -> LazyMotions:
         """Lowering and retreat at the release; ``wide``: with the fingers opened all the way if there is room."""
         openings = (float(self._gripper.upper), ik.grasp.opening) if wide else (ik.grasp.opening,)
         tried = self._lines(kind, ik, openings, self.options.lower, (SegmentKind.RETREAT, SegmentKind.LOWER))
-        motions = (
-            lines
-            if isinstance(lines, Failure)
-            else ApproachDepart(lines.lift.reversed(), lines.withdraw, lines.opening)
-            for lines in tried
-        )
+        return self._motions(kind, ik, tried, _Lines.place)
+
+    def _motions(
+        self,
+        kind: StageKind,
+        ik: GraspIk,
+        tried: Iterator[_Lines | Failure],
+        motion: Callable[[_Lines], ApproachDepart],
+    ) -> LazyMotions:
+        motions = (lines if isinstance(lines, Failure) else motion(lines) for lines in tried)
         return LazyMotions(ik, motions, unreachable(self.models.target, kind, [ik]))
 
     def connect(

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from regrasp_planner.grasp.grasp import FeasibleGrasp, Grasp, GraspGenOptions
 from regrasp_planner.grasp.grasp_gen import GraspSearch
-from regrasp_planner.ik.ik_solve import Reachability, within_reach
+from regrasp_planner.ik.reachability import Reachability, grade_reachability
 from regrasp_planner.pose import Pose, rigid, wxyz_xyz
 from regrasp_planner.robot.model import Robot
 from regrasp_planner.stages.clock import Clock
@@ -105,7 +105,7 @@ class StageSearch:
         new = [i for i, key in enumerate(keys) if key not in known]
         if new:
             placed = wxyz_xyz(rigid(target_pose) * rigid(grippers[new]))
-            grades = within_reach(self.models.arm_alone, placed, self.seed, collisions)
+            grades = grade_reachability(self.models.arm_alone, placed, self.seed, collisions)
             known |= {keys[i]: int(grade) for i, grade in zip(new, grades, strict=True)}
         return np.array([known[key] for key in keys], int)
 

@@ -20,12 +20,12 @@ from regrasp_bench.pictures.command import PicturesOptions, pictures
 from regrasp_bench.pictures.execution import execution_picture
 from regrasp_bench.pictures.poses import poses_picture
 from regrasp_bench.pictures.union import _cut, gripper_looks, union_picture
-from regrasp_gym.envs.panda_ycb import PANDA
 from regrasp_gym.errors import EnvError, OptionError
 from regrasp_gym.expert.plan_picture import release_tilt
 from regrasp_gym.objects.shapes import box
 from regrasp_gym.rendering.setting import Camera
 from regrasp_gym.rendering.surfaces import faceted
+from regrasp_gym.robots.panda import PANDA
 from regrasp_gym.scenes.scene import Fixture
 from regrasp_planner import Grasp, Stage, StageKind
 

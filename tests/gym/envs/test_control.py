@@ -148,7 +148,7 @@ def test_out_of_range_actions_are_clipped(home, ee):
         (np.zeros((1, 7)), r"shape \(1, 7\)"),
         (np.array([0, 0, 0, np.nan, 0, 0, 0]), r"action\[3\] is nan"),
         (np.array([np.inf, 0, 0, 0, 0, 0, 0]), r"action\[0\] is inf"),
-        ("up", "no array of numbers"),
+        ("up", "not an array of numbers"),
         (None, r"shape \(\)"),
     ],
 )

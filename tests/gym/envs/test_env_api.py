@@ -186,7 +186,7 @@ def test_bad_actions_raise_and_change_nothing(facts, control_mode):
     size = env.action_space.shape[0]
     bad = still(env).copy()
     bad[2] = np.nan
-    for action, message in ((np.zeros(size + 1), "shape"), (bad, r"action\[2\] is nan"), ("left", "no array")):
+    for action, message in ((np.zeros(size + 1), "shape"), (bad, r"action\[2\] is nan"), ("left", "not an array")):
         with pytest.raises(ActionError, match=message):
             env.unwrapped.step(action)
     assert_equal(before.physics, env.unwrapped.get_state().physics)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from scenario_facts import CONTROL_MODES, OBS_TYPES, assert_equal, still
 
 from regrasp_gym.envs.reward import pose_errors
 from regrasp_gym.errors import OptionError, SceneError
-from regrasp_gym.scenes.scene import PlacedObject
+from regrasp_gym.scenes.scene import PlacedObject, Scene
 
 
 @pytest.mark.parametrize(("obs_type", "control_mode"), list(itertools.product(OBS_TYPES, CONTROL_MODES)))
@@ -81,10 +80,25 @@ def test_bad_options_are_named(env, options, error, message):
         env.reset(seed=0, options=options)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class OwnScene(Scene):
+    """A scene with the objects that a test gives it."""
+
+    objects: tuple[PlacedObject, ...]
+
+    @property
+    def others(self):
+        return self.objects
+
+    @property
+    def instruction(self):
+        return "put the target at its goal"
+
+
 def with_others(scene, others):
-    """The scene with other others."""
-    names = ("seed", "target", "goal_pose", "fixtures", "release", "instruction")
-    return SimpleNamespace(others=tuple(others), **{name: getattr(scene, name) for name in names})
+    """The scene with other objects around the target."""
+    fields = {field.name: getattr(scene, field.name) for field in dataclasses.fields(Scene)}
+    return OwnScene(**fields, objects=tuple(others))
 
 
 def test_a_scene_with_the_same_object_twice_is_refused(facts, env):

@@ -12,7 +12,8 @@ from scripted_lift import LIFT, ScriptedLift
 
 import regrasp_gym
 from regrasp_bench.tables.episodes import run_episode
-from regrasp_gym.envs.observation import state_layout
+from regrasp_gym.envs.observation import agent_layout, environment_layout, size, state_layout
+from regrasp_gym.envs.panda_lift import PandaYCBLiftEnv
 from regrasp_gym.errors import SceneError, StateError
 from regrasp_gym.scenes.lift import LiftConfig, make_scene
 from regrasp_planner import StrategyError
@@ -87,13 +88,21 @@ def test_relabelled_goals_are_reached(env):
     assert (reward[:20] == -1).all()
 
 
-def test_docstring_lists_exactly_what_there_is(env):
-    table = type(env.unwrapped).__doc__.split("| observation")[1].split("\n\n")[0]
-    rows = [(int(first), int(last or first)) for first, last in re.findall(r"\n\s*\| (\d+)(?:–(\d+))?", table)]
-    ends = np.cumsum([count for _, count in state_layout(7, 0) if count])
-    assert [last + 1 for _, last in rows] == list(ends)
-    assert [first for first, _ in rows] == [0, *ends[:-1]]
-    assert env.observation_space["observation"].shape == (ends[-1],)
+@pytest.mark.parametrize(
+    ("name", "layout"),
+    [
+        ("observation", state_layout(7, 0)),
+        ("agent_pos", agent_layout(7)),
+        ("environment_state", environment_layout(0)),
+    ],
+)
+def test_docstring_lists_exactly_what_there_is(name, layout):
+    text = " ".join(PandaYCBLiftEnv.__doc__.split())
+    listed = re.match(r" \((\d+),\):([^.;]*)", text.split(f"``{name}``")[1])
+    assert re.findall(r"([a-z ]+) (\d+) \(", listed[2].replace(",", "")) == [
+        (f" {part}", str(count)) for part, count in layout if count
+    ]
+    assert int(listed[1]) == size(layout)
 
 
 def test_states_with_more_objects_are_refused(env):

@@ -1,4 +1,4 @@
-"""Shapes that are not convex, in pieces: what the pieces hold, where they are kept, and what happens to bad meshes."""
+"""Convex decomposition: coverage, the store on disk, and bad meshes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def assert_same(pieces: tuple[np.ndarray, ...], others: tuple[np.ndarray, ...]) 
         np.testing.assert_array_equal(a, b)
 
 
-def test_the_second_time_nothing_is_computed(own_cache: Path, angle: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_call_computes_nothing(own_cache: Path, angle: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
     first = convex_pieces(*angle)
     (file,) = (own_cache / "pieces").iterdir()
     assert file.suffix == ".npz"
@@ -87,7 +87,7 @@ def test_other_meshes_and_options_have_files_of_their_own(own_cache: Path, angle
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 half a file", None])
-def test_a_damaged_file_is_made_anew(own_cache: Path, angle: Mesh, damage: bytes | None) -> None:
+def test_a_damaged_file_is_rebuilt(own_cache: Path, angle: Mesh, damage: bytes | None) -> None:
     first = convex_pieces(*angle)
     (file,) = (own_cache / "pieces").iterdir()
     if damage is None:
@@ -99,7 +99,7 @@ def test_a_damaged_file_is_made_anew(own_cache: Path, angle: Mesh, damage: bytes
         assert len(stored.files) == 2
 
 
-def test_pieces_that_can_not_be_kept_are_still_given(
+def test_pieces_that_cannot_be_stored_are_still_returned(
     tmp_path: Path, angle: Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("no folder")
@@ -108,12 +108,12 @@ def test_pieces_that_can_not_be_kept_are_still_given(
         assert len(convex_pieces(*angle)) == 2
 
 
-def test_what_coacd_can_not_do_is_said() -> None:
-    with pytest.raises(GeometryError, match=r"CoACD cannot decompose the mesh of 0 faces.*take max_pieces=1"):
+def test_a_failure_of_coacd_is_reported() -> None:
+    with pytest.raises(GeometryError, match=r"CoACD cannot decompose the mesh of 0 faces.*pass max_pieces=1"):
         decompose._run_coacd(trimesh.creation.box().vertices, np.zeros((0, 3), int), 4, 0.05)
 
 
-def test_what_keeps_coacd_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coacd_is_stopped_when_it_takes_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ring and a disc that run through each other in one mesh: alone, CoACD takes each of them."""
     ring = trimesh.creation.torus(0.03, 0.008, major_sections=12, minor_sections=6)
     disc = trimesh.creation.cylinder(0.04, 0.006, sections=12)

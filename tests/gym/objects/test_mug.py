@@ -10,13 +10,14 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from standing import upright
 
 import regrasp_gym
-from regrasp_gym.envs.panda_ycb import PANDA
 from regrasp_gym.errors import SceneError
 from regrasp_gym.objects import OBJECTS, solid
 from regrasp_gym.objects.shapes import lathe
-from regrasp_gym.scenes.graspable import over_a_part
+from regrasp_gym.robots.panda import PANDA
+from regrasp_gym.scenes.graspable import graspable_by_part
 from regrasp_gym.scenes.resting import resting_poses, upright_pose
 from regrasp_gym.scenes.table_shelf import make_scene
 from regrasp_gym.scenes.table_shelf_config import TableShelfConfig, check_target
@@ -36,8 +37,7 @@ def gripper() -> Gripper:
 def grasps(gripper: Gripper) -> tuple[Grasp, ...]:
     table = Body("table", (ConvexBody.box((1.0, 1.0, 0.04)),), np.zeros(3))
     obstacle = Obstacle(table, np.array([1.0, 0, 0, 0, 0, 0, -0.02]))
-    upright = np.array([1.0, 0, 0, 0, 0, 0, MUG.height_above_base])
-    return generate_grasps(MUG.body(), (Scene("pick", upright, (obstacle,)),), gripper).grasps
+    return generate_grasps(MUG.body(), (Scene("pick", upright(MUG), (obstacle,)),), gripper).grasps
 
 
 def bodies(gripper: Gripper, grasp: Grasp, theta: float) -> list[np.ndarray]:
@@ -78,14 +78,14 @@ def test_stable_poses_are_those_of_the_hull_of_the_whole() -> None:
     found = stable_poses(body.hull_vertices(), body.center_of_mass)
     for direction in found.directions:
         assert np.abs(whole.equations[:, :3] - direction).max(axis=1).min() < 1e-6
-    upright = found.probability[found.directions @ [0, 0, -1] > 0.999].sum()
-    assert upright == pytest.approx(upright_pose(MUG).probability, abs=0.05)
+    share = found.probability[found.directions @ [0, 0, -1] > 0.999].sum()
+    assert share == pytest.approx(upright_pose(MUG).probability, abs=0.05)
 
 
 def test_it_counts_as_graspable_and_solid_things_of_its_size_do_not() -> None:
-    assert all(over_a_part(MUG, pose, OPENING) for pose in resting_poses(MUG))
+    assert all(graspable_by_part(MUG, pose, OPENING) for pose in resting_poses(MUG))
     block = solid("block", "block", 0.3, [lathe([(46.5e-3, 0), (46.5e-3, 81e-3)], 24)])
-    assert not any(over_a_part(block, pose, OPENING) for pose in resting_poses(block))
+    assert not any(graspable_by_part(block, pose, OPENING) for pose in resting_poses(block))
     check_target(MUG, TableShelfConfig())
     with pytest.raises(SceneError, match="'block' is 81 mm wide"):
         check_target(block, TableShelfConfig())
@@ -107,8 +107,8 @@ def test_a_wall_that_no_finger_gets_behind_does_not_count() -> None:
         )
         for ring in rings
     )
-    assert over_a_part(open_, upright_pose(open_), OPENING)
-    assert not over_a_part(narrow, upright_pose(narrow), OPENING)
+    assert graspable_by_part(open_, upright_pose(open_), OPENING)
+    assert not graspable_by_part(narrow, upright_pose(narrow), OPENING)
 
 
 def test_scenes_may_ask_for_it_and_the_default_ones_do_not() -> None:

@@ -12,14 +12,13 @@ from excavator_alone import (
     FAR,
     JAWS,
     OPEN,
-    STEP,
     compiled,
     loaded,
     pose,
     ramp,
     random_configurations,
-    step,
 )
+from robot_alone import STEP, body_geoms, farthest_outside, fingers_follow, mesh_points, outside, step
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -136,9 +135,7 @@ def test_what_bites_fills_the_pads() -> None:
     model, data = compiled()
     for pad in excavator.PADS:
         capsule, bite = model.geom(pad).id, model.geom(pad.replace("pad", "bite")).id
-        mesh = model.geom_dataid[bite]
-        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        corners = data.geom_xpos[bite] + model.mesh_vert[start : start + count] @ data.geom_xmat[bite].reshape(3, 3).T
+        corners = mesh_points(model, data, bite)
         assert max(outside(model, data, capsule, point) for point in corners) < 1e-6
         local = (corners - data.geom_xpos[capsule]) @ data.geom_xmat[capsule].reshape(3, 3)
         ring = ConvexHull(local[np.abs(local[:, 2] - 0.12) < 1e-6][:, :2])
@@ -179,25 +176,11 @@ def test_a_pad_pushes_square_to_its_surface() -> None:
 def test_what_is_seen_stays_near_what_touches() -> None:
     """A tool seen to pass through a stone would be wrong; rails and cylinders above the boom meet nothing."""
     model, data = compiled()
-    shapes = [g for g in range(model.ngeom) if model.geom_group[g] == 3]
     for geom in np.flatnonzero(model.geom_group == 2):
-        mesh, body = model.geom_dataid[geom], model.body(model.geom_bodyid[geom]).name
-        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        points = data.geom_xpos[geom] + model.mesh_vert[start : start + count] @ data.geom_xmat[geom].reshape(3, 3).T
-        nearest = [min(outside(model, data, s, point) for s in shapes) for point in points[:: max(1, count // 60)]]
-        assert max(nearest) < (0.09 if body in (*BODIES[4:], *JAWS) else 0.45), model.geom(geom).name
-
-
-def outside(model: mujoco.MjModel, data: mujoco.MjData, geom: int, point: np.ndarray) -> float:
-    """Distance of a point outside of a capsule or a sphere, or of the bounding box of another geom."""
-    local = (point - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
-    size, kind = model.geom_size[geom], model.geom_type[geom]
-    if kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE):
-        half = size[1] if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
-        local = local - [0, 0, np.clip(local[2], -half, half)]
-        return max(0.0, float(np.linalg.norm(local)) - size[0])
-    center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    return float(np.linalg.norm(np.maximum(np.abs(local - center) - half, 0)))
+        body = model.body(model.geom_bodyid[geom]).name
+        assert farthest_outside(model, data, geom, points=60) < (0.09 if body in (*BODIES[4:], *JAWS) else 0.45), (
+            model.geom(geom).name
+        )
 
 
 def test_the_operator_sees_where_the_tool_works() -> None:
@@ -248,25 +231,14 @@ def test_a_loaded_joint_follows_at_full_speed_and_stops_dead(joint: int) -> None
 
 
 def test_the_jaws_follow_one_command_as_one() -> None:
-    model, data = compiled()
-    fastest = 0.0
-    for target in (-0.2, 0.1, CLOSED, OPEN):
-        data.ctrl[6] = target
-        for _ in range(round(2.8 / STEP)):
-            mujoco.mj_step(model, data)
-            fastest = max(fastest, np.abs(data.qvel[6:8]).max())
-            assert data.qpos[6] == pytest.approx(data.qpos[7], abs=1e-4)
-        assert data.qpos[6:8] == pytest.approx([target] * 2, abs=1e-3)
+    fastest = fingers_follow(excavator.EXCAVATOR, (-0.2, 0.1, CLOSED, OPEN), seconds=2.8, apart=1e-4, error=1e-3)
     assert 0.2 < fastest < 0.36
 
 
 def test_the_planner_sees_the_same_machine() -> None:
     model, data = compiled()
-    robot = excavator.planner_robot(model)
-    names = [model.body(model.geom_bodyid[g]).name for g in range(model.ngeom)]
-    touched = [g for g in range(model.ngeom) if model.geom_group[g] == 3]
-    order = dict.fromkeys(JAWS, 2) | {"gripper": 1}
-    geoms = sorted(touched, key=lambda g: (order.get(names[g], 0), g))
+    robot = excavator.EXCAVATOR.planner_robot(model)
+    geoms = body_geoms(model, "gripper", JAWS)
     assert robot_bodies(robot).batch_size == len(geoms) == 16
     assert robot.gripper.fingers.batch_size == 4
     assert float(robot.gripper.max_opening) == pytest.approx(1.2, abs=1e-3)
@@ -292,14 +264,14 @@ def test_the_planner_sees_the_same_machine() -> None:
 
 def test_few_pairs_can_collide_and_none_does_in_usual_work() -> None:
     model, data = compiled()
-    assert 20 < len(excavator.planner_robot(model).self_pairs) < 80
+    assert 20 < len(excavator.EXCAVATOR.planner_robot(model).self_pairs) < 80
     rng = np.random.default_rng(0)
     for _ in range(300):
         radius, height = rng.uniform(4.3, 8.3), rng.uniform(0.0, 1.8)
         x, z = radius - 0.23, height + 1.93 - 1.96
-        reach = np.hypot(x, z)
-        boom = np.arctan2(z, x) + np.arccos((5.7**2 + reach**2 - 2.9**2) / (2 * 5.7 * reach))
-        arm = np.pi - np.arccos((5.7**2 + 2.9**2 - reach**2) / (2 * 5.7 * 2.9))
+        distance = np.hypot(x, z)
+        boom = np.arctan2(z, x) + np.arccos((5.7**2 + distance**2 - 2.9**2) / (2 * 5.7 * distance))
+        arm = np.pi - np.arccos((5.7**2 + 2.9**2 - distance**2) / (2 * 5.7 * 2.9))
         if not model.jnt_range[2, 0] < arm < model.jnt_range[2, 1]:
             continue
         down = np.pi / 2 + boom - arm

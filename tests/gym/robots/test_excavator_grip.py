@@ -5,8 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from excavator_alone import CLOSED, OPEN, STEP, compiled, pose, ramp, step
+from excavator_alone import CLOSED, OPEN, compiled, pose, ramp
 from jaxtyping import Float
+from robot_alone import STEP, pad_forces, pose_in_gripper, step
 from scipy.spatial.transform import Rotation
 
 from regrasp_gym.objects.stones import StoneConfig, stone
@@ -59,27 +60,10 @@ def grasped(shape: Float[np.ndarray, "N 3"], seed: int) -> tuple[np.ndarray, np.
     raise AssertionError("no grasp found")
 
 
-def held_pose(data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Position and rotation of the stone in the gripper frame."""
-    frame = data.site(excavator.TCP_SITE).xmat.reshape(3, 3)
-    body = data.body("stone")
-    return frame.T @ (body.xpos - data.site(excavator.TCP_SITE).xpos), frame.T @ body.xmat.reshape(3, 3)
-
-
 def moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
     """Metres and degrees between two poses."""
     turn = np.arccos(np.clip((np.trace(a[1].T @ b[1]) - 1) / 2, -1, 1))
     return float(np.linalg.norm(a[0] - b[0])), float(np.degrees(turn))
-
-
-def pad_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Sum of the left pad's normal forces, newtons."""
-    pad, total, force = model.geom("left_bite").id, 0.0, np.zeros(6)
-    for k, contact in enumerate(data.contact):
-        if pad in contact.geom:
-            mujoco.mj_contactForce(model, data, k, force)
-            total += force[0]
-    return total
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -101,14 +85,11 @@ def test_friction_alone_holds_a_heavy_stone_through_a_swing(seed: int) -> None:
     model.dof_damping[dofs] = 0.0
 
     step(model, data, 0.5)
-    presses = []
-    for _ in range(100):
-        mujoco.mj_step(model, data)
-        presses.append(pad_force(model, data))
+    presses = pad_forces(model, data, "left_bite", steps=100)
     assert 34e3 < np.mean(presses) < 48e3, "the pad presses with about 40 kN"
     assert np.std(presses) < 100.0, "and without chatter"
 
-    grip = held_pose(data)
+    grip = pose_in_gripper(data, excavator.EXCAVATOR, "stone")
     assert np.linalg.norm(grip[0] - offset * [-1, 1, -1]) < 0.02, "where it was gripped"
     position, end = ramp(2.2, excavator.MAX_VELOCITY[0], excavator.MAX_ACCELERATION[0])
     lift = np.array([0.0, -0.12, 0.0, 0.12, 0.0, 0.0])
@@ -117,13 +98,13 @@ def test_friction_alone_holds_a_heavy_stone_through_a_swing(seed: int) -> None:
         data.ctrl[:6] = excavator.HOME + lift * share**2 * (3 - 2 * share)
         data.ctrl[0] += position(k * STEP)
         mujoco.mj_step(model, data)
-    slip, twist = moved(grip, held_pose(data))
+    slip, twist = moved(grip, pose_in_gripper(data, excavator.EXCAVATOR, "stone"))
     assert slip < 0.02
     assert twist < 1.0
     assert data.qpos[0] == pytest.approx(2.2, abs=1e-3)
 
-    after = held_pose(data)
+    after = pose_in_gripper(data, excavator.EXCAVATOR, "stone")
     step(model, data, 20.0)
-    slip, twist = moved(after, held_pose(data))
+    slip, twist = moved(after, pose_in_gripper(data, excavator.EXCAVATOR, "stone"))
     assert slip < 0.003, "a held stone does not creep"
     assert twist < 0.5

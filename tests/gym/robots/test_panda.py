@@ -5,30 +5,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from robot_alone import STEP, at_rest, farthest_outside, fingers_follow, pad_forces, pose_in_gripper
 
 from regrasp_gym.objects import OBJECTS
 from regrasp_gym.objects.model import ObjectModel
 from regrasp_gym.robots import panda
-from regrasp_gym.simulation import physics
-
-STEP = physics.TIMESTEP
-
-
-def compiled(spec: mujoco.MjSpec | None = None) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The robot at home with an open gripper, commanded to stay there."""
-    if spec is None:
-        spec = panda.build_spec()
-        physics.configure(spec)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:7] = data.ctrl[:7] = panda.HOME
-    data.qpos[7:9] = data.ctrl[7] = panda.OPEN_THETA
-    mujoco.mj_forward(model, data)
-    return model, data
 
 
 def test_everything_that_the_contract_names_is_there() -> None:
-    model, _ = compiled()
+    model, _ = at_rest(panda.PANDA)
     for body in [f"link{i}" for i in range(8)] + ["hand", "left_finger", "right_finger"]:
         assert model.body_gravcomp[model.body(body).id] == 1.0
     assert [model.joint(name).id for name in (*panda.ARM_JOINTS, *panda.FINGER_JOINTS)] == list(range(9))
@@ -41,7 +26,7 @@ def test_everything_that_the_contract_names_is_there() -> None:
 
 
 def test_limits_are_those_of_the_data_sheet() -> None:
-    model, _ = compiled()
+    model, _ = at_rest(panda.PANDA)
     bound = np.array([2.8973, 1.7628, 2.8973, np.nan, 2.8973, np.nan, 2.8973])
     expected = np.column_stack([-bound, bound])
     expected[3], expected[5] = (-3.0718, -0.0698), (-0.0175, 3.7525)
@@ -51,7 +36,7 @@ def test_limits_are_those_of_the_data_sheet() -> None:
 
 
 def test_seen_and_touched_geoms_are_apart() -> None:
-    model, _ = compiled()
+    model, _ = at_rest(panda.PANDA)
     seen, touched = model.geom_group == 2, model.geom_group == 3
     assert (seen | touched).all()
     assert not model.geom_contype[seen].any()
@@ -61,31 +46,13 @@ def test_seen_and_touched_geoms_are_apart() -> None:
 
 def test_what_is_seen_stays_near_what_touches() -> None:
     """An observer must not see parts pass through things that the physics leaves alone, or the other way round."""
-    model, data = compiled()
-    shapes = [g for g in range(model.ngeom) if model.geom_group[g] == 3]
-    worst = 0.0
-    for geom in np.flatnonzero(model.geom_group == 2):
-        mesh = model.geom_dataid[geom]
-        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        points = data.geom_xpos[geom] + model.mesh_vert[start : start + count] @ data.geom_xmat[geom].reshape(3, 3).T
-        for point in points[:: max(1, count // 40)]:
-            worst = max(worst, min(outside(model, data, shape, point) for shape in shapes))
-    assert worst < 0.025
-
-
-def outside(model: mujoco.MjModel, data: mujoco.MjData, geom: int, point: np.ndarray) -> float:
-    """Distance of a point outside of a capsule, or of the bounding box of another geom."""
-    local = (point - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
-    size = model.geom_size[geom]
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        local = local - [0, 0, np.clip(local[2], -size[1], size[1])]
-        return max(0.0, float(np.linalg.norm(local)) - size[0])
-    center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    return float(np.linalg.norm(np.maximum(np.abs(local - center) - half, 0)))
+    model, data = at_rest(panda.PANDA)
+    visible = np.flatnonzero(model.geom_group == 2)
+    assert max(farthest_outside(model, data, geom, points=40) for geom in visible) < 0.025
 
 
 def test_the_arm_holds_still_without_gravity_load() -> None:
-    model, data = compiled()
+    model, data = at_rest(panda.PANDA)
     for _ in range(500):
         mujoco.mj_step(model, data)
     assert np.abs(data.qpos[:7] - panda.HOME).max() < 1e-9
@@ -94,7 +61,7 @@ def test_the_arm_holds_still_without_gravity_load() -> None:
 
 def test_the_arm_tracks_a_trajectory_given_at_20_hz() -> None:
     """Set points that go linearly from one control step to the next are followed with less than 30 ms lag."""
-    model, data = compiled()
+    model, data = at_rest(panda.PANDA)
     amplitude, rate = 0.35 * panda.MAX_VELOCITY, 2 * np.pi * 0.3
     amplitude = amplitude / rate
 
@@ -119,7 +86,7 @@ def test_the_arm_tracks_a_trajectory_given_at_20_hz() -> None:
 
 @pytest.mark.parametrize("joint", range(7))
 def test_a_step_is_followed_without_overshoot(joint: int) -> None:
-    model, data = compiled()
+    model, data = at_rest(panda.PANDA)
     data.ctrl[joint] += 0.02
     course = []
     for _ in range(250):
@@ -131,20 +98,12 @@ def test_a_step_is_followed_without_overshoot(joint: int) -> None:
 
 
 def test_the_fingers_follow_one_command_as_one() -> None:
-    model, data = compiled()
-    fastest = 0.0
-    for target in (0.01, 0.03, 0.0, 0.04):
-        data.ctrl[7] = target
-        for _ in range(400):
-            mujoco.mj_step(model, data)
-            fastest = max(fastest, np.abs(data.qvel[7:9]).max())
-            assert data.qpos[7] == pytest.approx(data.qpos[8], abs=1e-5)
-        assert data.qpos[7:9] == pytest.approx([target] * 2, abs=2e-4)
+    fastest = fingers_follow(panda.PANDA, (0.01, 0.03, 0.0, 0.04), seconds=0.8, apart=1e-5, error=2e-4)
     assert 0.1 < fastest < 0.21
 
 
 def test_the_wrist_camera_sees_the_grasp_centre() -> None:
-    model, data = compiled()
+    model, data = at_rest(panda.PANDA)
     camera = model.camera("wrist").id
     frame = data.cam_xmat[camera].reshape(3, 3)
     half = np.tan(np.deg2rad(model.cam_fovy[camera]) / 2)
@@ -157,7 +116,7 @@ def test_the_wrist_camera_sees_the_grasp_centre() -> None:
 
 def grasp_spec(thing: ObjectModel) -> mujoco.MjSpec:
     """The robot at home and an upright object between its fingers, narrow side across, on a stand."""
-    _, data = compiled()
+    _, data = at_rest(panda.PANDA)
     tcp = data.site(panda.TCP_SITE).xpos
     points = np.concatenate(thing.pieces)
     yaws = np.linspace(0, np.pi, 181)
@@ -168,8 +127,7 @@ def grasp_spec(thing: ObjectModel) -> mujoco.MjSpec:
     grip = np.clip(0.0, points[:, 2].max() - 0.033, None)
     position = tcp - [0.0, (across.max() + across.min()) / 2, max(grip, points[:, 2].min() + 0.012)]
     spec = panda.build_spec()
-    physics.configure(spec)
-    floor = position[2] - thing.height_above_base
+    floor = position[2] + points[:, 2].min()
     spec.worldbody.add_geom(
         name="stand",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -178,13 +136,6 @@ def grasp_spec(thing: ObjectModel) -> mujoco.MjSpec:
     )
     thing.add_to(spec, name="thing", pose=np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), *position]))
     return spec
-
-
-def held_pose(data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Position and rotation of the object in the gripper frame."""
-    frame = data.site(panda.TCP_SITE).xmat.reshape(3, 3)
-    body = data.body("thing")
-    return frame.T @ (body.xpos - data.site(panda.TCP_SITE).xpos), frame.T @ body.xmat.reshape(3, 3)
 
 
 HELD = [
@@ -202,7 +153,7 @@ HELD = [
 
 @pytest.mark.parametrize("name", HELD)
 def test_friction_alone_holds_a_shaken_object(name: str) -> None:
-    model, data = compiled(grasp_spec(OBJECTS[name]))
+    model, data = at_rest(panda.PANDA, grasp_spec(OBJECTS[name]))
 
     def run(seconds: float, motion=None) -> list[tuple[np.ndarray, np.ndarray]]:
         poses = []
@@ -210,20 +161,17 @@ def test_friction_alone_holds_a_shaken_object(name: str) -> None:
             if motion is not None:
                 data.ctrl[:7] = motion(k * STEP)
             mujoco.mj_step(model, data)
-            poses.append(held_pose(data))
+            poses.append(pose_in_gripper(data, panda.PANDA, "thing"))
         return poses
 
     run(0.2)
     data.ctrl[7] = 0.0
     run(0.7)
-    presses = []
-    for _ in range(50):
-        mujoco.mj_step(model, data)
-        presses.append(pad_force(model, data))
+    presses = pad_forces(model, data, "left_pad_c", steps=50)
     assert np.mean(presses) > 45, "both pads press with what the hand can"
     assert np.std(presses) < 1.0, "and without chatter"
 
-    position, rotation = held_pose(data)
+    position, rotation = pose_in_gripper(data, panda.PANDA, "thing")
     # Up by the shoulder and elbow, then all joints at once, near the limits of their accelerations.
     lifted = panda.HOME + np.array([0, -0.15, 0, 0.1, 0, 0.25, 0])
     amplitude, rate = np.array([0.3, 0.1, 0, 0.25, 0, 0.3, 0.35]), np.array([6, 5, 1, 6, 1, 7, 7.0])
@@ -235,16 +183,8 @@ def test_friction_alone_holds_a_shaken_object(name: str) -> None:
     assert slip < 0.005
     assert np.degrees(turn) < 5.0
 
-    before, _ = held_pose(data)
+    before, _ = pose_in_gripper(data, panda.PANDA, "thing")
     run(3.0)
-    assert np.linalg.norm(held_pose(data)[0] - before) < 2e-4, "a held object does not creep"
-
-
-def pad_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Sum of the left pad's normal forces, newtons."""
-    pad, total, force = model.geom("left_pad_c").id, 0.0, np.zeros(6)
-    for k, contact in enumerate(data.contact):
-        if pad in contact.geom:
-            mujoco.mj_contactForce(model, data, k, force)
-            total += force[0]
-    return total
+    assert np.linalg.norm(pose_in_gripper(data, panda.PANDA, "thing")[0] - before) < 2e-4, (
+        "a held object does not creep"
+    )

@@ -9,9 +9,12 @@ import jaxlie
 import mujoco
 import numpy as np
 import pytest
+from robot_alone import body_geoms
 
 from regrasp_gym.robots import panda
-from regrasp_gym.robots.planner_robot import RobotModelError, geom_body, robot_from_model
+from regrasp_gym.robots.collision_geoms import geom_body
+from regrasp_gym.robots.model_reader import RobotModelError
+from regrasp_gym.robots.planner_robot import robot_from_model
 from regrasp_planner import separation
 from regrasp_planner.robot.kinematics import body_poses, forward_kinematics, robot_bodies
 from regrasp_planner.robot.model import Robot
@@ -42,12 +45,7 @@ JAWS = """
               <body name="jaw2" pos="0 -0.1 -0.05">
                 <joint name="hinge2" axis="1 0 0" range="-0.9 0.1"/>
                 <geom name="plate2" type="box" size="0.08 0.02 0.12" pos="0 0.08 -0.13"/>
-              </body>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
+              </body></body></body></body></body></body>
   </worldbody>
 </mujoco>
 """
@@ -76,15 +74,7 @@ def model() -> mujoco.MjModel:
 
 @pytest.fixture(scope="module")
 def robot(model: mujoco.MjModel) -> Robot:
-    return panda.planner_robot(model)
-
-
-def body_geoms(model: mujoco.MjModel, palm: str, fingers: tuple[str, ...]) -> list[int]:
-    """Collision geoms in the order of `robot_bodies`: links, palm, fingers."""
-    names = [model.body(model.geom_bodyid[g]).name for g in range(model.ngeom)]
-    touched = [g for g in range(model.ngeom) if model.geom_group[g] == 3]
-    order = dict.fromkeys(fingers, 2) | {palm: 1}
-    return sorted(touched, key=lambda g: (order.get(names[g], 0), g))
+    return panda.PANDA.planner_robot(model)
 
 
 def panda_geoms(model: mujoco.MjModel) -> list[int]:
@@ -241,7 +231,7 @@ def test_a_cylinder_contains_itself() -> None:
         ({"joints": ("swing", "crawl")}, "no joint 'crawl'"),
         ({"joints": ("crowd", "swing")}, "does not follow"),
         ({"joints": ("swing", "hinge1"), "finger_joints": ("crowd", "hinge2")}, "not carried by the last link"),
-        ({"pads": ("plate1", "plate1")}, "one on each finger"),
+        ({"pads": ("plate1", "plate1")}, "one per finger"),
         ({"finger_ratios": (-1.0, 1.0)}, "does not open"),
         ({"max_velocity": np.ones(3)}, r"max_velocity of 'digger' has shape \(3,\)"),
         ({"tool_site": "grab"}, "no site 'grab'"),

@@ -1,6 +1,7 @@
 """Clearance from fixed bodies against coal."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -32,3 +33,11 @@ def test_least_slack_is_that_of_the_nearest_pair(coal_oracle, seed, cap):
         )
         assert found[i] <= min(slack, cap) + 1e-9 or (found[i] < 0 and slack < 0)
         assert found[i] > min(slack, cap) - 2e-4 or slack < 0
+
+
+@pytest.mark.parametrize(("bodies", "count"), [(0, 3), (1, 0)])
+def test_without_pairs_the_cap_is_the_answer(build, bodies, count):
+    box = ConvexBody.box((0.1, 0.1, 0.1))
+    fixed = FixedBodies([box] * bodies, np.tile(build.pose(), (bodies, 1)))
+    placed = [RigidTransform.identity(count)]
+    np.testing.assert_array_equal(fixed.least_slack([box], placed, np.zeros((1, bodies)), 0.2), np.full(count, 0.2))

@@ -5,7 +5,7 @@ import numpy as np
 from regrasp_planner.geometry.boxes import bounding_boxes
 from regrasp_planner.geometry.support import ConvexBody
 from regrasp_planner.grasp.broad_phase import overlaps
-from regrasp_planner.robot.gripper import gripper_corners
+from regrasp_planner.robot.gripper import gripper_points
 
 
 def test_bounding_boxes_overlap_where_the_bodies_do(panda, build, hand, gap):
@@ -18,7 +18,7 @@ def test_bounding_boxes_overlap_where_the_bodies_do(panda, build, hand, gap):
     opened = np.full(200, 0.03)
     block = ConvexBody.stack([ConvexBody.box((0.1, 0.06, 0.04))])
     total, least = overlaps(poses, opened, gripper, bounding_boxes(block), build.pose()[None], 0.005)
-    corners = np.concatenate(gripper_corners(gripper, poses, opened), axis=1)
+    corners = np.concatenate(gripper_points(gripper, poses, opened), axis=1)
     inside = (np.abs(corners) < [0.05, 0.03, 0.02]).all(axis=2).any(axis=1)
     assert inside.sum() > 10
     assert (least[inside] <= 0).all()

@@ -8,7 +8,7 @@ from regrasp_planner.grasp.grasp import GraspGenOptions, NoGraspReason, StartKin
 from regrasp_planner.grasp.grasp_gen import PATIENCE, GraspSearch, generate_grasps
 from regrasp_planner.placement.basins import ReleaseCone
 from regrasp_planner.placement.tilted_release import plane_clearance
-from regrasp_planner.robot.gripper import gripper_corners
+from regrasp_planner.robot.gripper import gripper_points
 
 OPTIONS = GraspGenOptions()
 
@@ -83,7 +83,7 @@ def test_grasps_clear_the_ground_they_are_asked_for(panda, bodies, down):
     assert bool(tilted) == (abs(down[0]) < 1)
     for found in [*upright, *tilted]:
         opening = np.array([found.grasp.opening])
-        corners = np.concatenate(gripper_corners(panda.gripper, found.grasp.pose[None], opening), axis=1)
+        corners = np.concatenate(gripper_points(panda.gripper, found.grasp.pose[None], opening), axis=1)
         assert plane_clearance(body.hull_vertices(), corners, found.release[None])[0] > margin - 1e-6
         assert np.arccos(np.clip(found.release @ down, -1, 1)) < 0.3 + 1e-6
     assert all(found.release @ down > 1 - 1e-12 for found in upright)

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from regrasp_planner.collision.clearance import configuration_clearance
 from regrasp_planner.collision.model import collision_model
 from regrasp_planner.geometry.support import ConvexBody
-from regrasp_planner.ik import ik_solve
-from regrasp_planner.ik.descent import reach, solve_positive
+from regrasp_planner.ik.candidates import TargetSearch, batches, descend, draw_starts, screen
+from regrasp_planner.ik.descent import descend_to_pose, solve_positive
 from regrasp_planner.ik.ik_solve import IkFailure, solve_ik
+from regrasp_planner.ik.null_space import leave_collisions
 from regrasp_planner.robot.kinematics import forward_kinematics, gripper_jacobian, pose_error
 
 ON_TABLE = {("link1", "table"): None}
@@ -54,11 +55,11 @@ def cluttered(panda, build):
 
 @settings(max_examples=15, deadline=None)
 @given(seed=seeds)
-def test_reach_inverts_forward_kinematics(panda, seed):
+def test_descent_inverts_forward_kinematics(panda, seed):
     truth = random_configurations(panda.arm, 8, seed)
     targets = gripper_poses(panda.arm, jnp.asarray(truth))
     starts = random_configurations(panda.arm, 8 * 32, seed + 1).reshape(8, 32, 7)
-    found = reach(panda.arm, targets, jnp.asarray(starts), jnp.asarray(3), jnp.asarray(60))
+    found = descend_to_pose(panda.arm, np.asarray(targets), starts, 3, 60)
     best = np.argmin(found.position_error.reshape(8, 32) + found.rotation_error.reshape(8, 32), axis=1)
     q = np.asarray(found.q).reshape(8, 32, 7)[np.arange(8), best]
     position, rotation = errors(panda.arm, q, targets)
@@ -121,27 +122,25 @@ def test_alternatives_are_distinct_free_and_ranked_by_the_reference(cluttered):
         assert np.linalg.norm(q[0] - near) < 1.5
 
 
-def test_null_space_descent_leaves_collisions(cluttered, monkeypatch):
+def test_null_space_descent_leaves_collisions(cluttered):
     """From colliding configurations only, the augmented Lagrangian finds free ones for most of the poses."""
     model, tight = cluttered
     arm = model.arrays.robot.arm
     targets = np.asarray(gripper_poses(arm, jnp.asarray(tight[:32])))
-    searches = [
-        ik_solve._Search(t, OPENING, model, np.asarray(model.arrays.robot.home), [], [], (np.inf, tight[0]))
-        for t in targets
-    ]
-    for group in ik_solve._groups(searches):
-        starts = ik_solve._starts(arm, group, np.zeros((0, 7)), np.random.default_rng(0))
-        ik_solve._screen(group, ik_solve._reached(arm, group, starts, 30), 4)
+    home = np.asarray(model.arrays.robot.home)
+    searches = [TargetSearch(model, target, OPENING, home, closest=tight[0]) for target in targets]
+    for batch in batches(searches):
+        starts = draw_starts(arm, batch, np.zeros((0, 7)), np.random.default_rng(0))
+        screen(batch, descend(arm, batch, starts, 30), 4)
     trapped = [search for search in searches if search.colliding]
     for search in trapped:
-        search.found.clear()
+        search.solutions.clear()
     assert len(trapped) >= 4
-    for group in ik_solve._groups(trapped):
-        ik_solve._escape(arm, group, 4)
-    escaped = [search for search in trapped if search.found]
+    for batch in batches(trapped):
+        leave_collisions(batch, 4)
+    escaped = [search for search in trapped if search.solutions]
     assert len(escaped) >= 0.5 * len(trapped)
-    q = np.stack([search.found[0].q for search in escaped])
+    q = np.stack([search.solutions[0].q for search in escaped])
     position, rotation = errors(arm, q, np.stack([search.target for search in escaped]))
     assert position.max() < 1e-4
     assert rotation.max() < 1e-3

@@ -3,7 +3,7 @@
 import numpy as np
 
 from regrasp_planner import PlanOptions
-from regrasp_planner.ik.ik_solve import within_reach
+from regrasp_planner.ik.reachability import grade_reachability
 from regrasp_planner.pose import rigid, wxyz_xyz
 from regrasp_planner.stages import search as stage_search
 from regrasp_planner.stages.search import StageSearch
@@ -19,9 +19,9 @@ def test_each_grasp_is_graded_once_in_each_place(flipped_task, panda, build, mon
 
     def counted(model, targets, *rest):
         asked.append(len(targets))
-        return within_reach(model, targets, *rest)
+        return grade_reachability(model, targets, *rest)
 
-    monkeypatch.setattr(stage_search, "within_reach", counted)
+    monkeypatch.setattr(stage_search, "grade_reachability", counted)
     first = stages.quick_reachability(pose, grippers[:9])
     again = stages.quick_reachability(pose, grippers[3:])
     np.testing.assert_array_equal(first[3:], again[:6])
