@@ -26,6 +26,8 @@ class IdentityMemo:
         """
         where = (id(owner), key)
         if where not in self._kept:
-            self._kept[where] = make()
+            result = make()
+            # First, so that nothing is kept for an owner that cannot be watched.
             weakref.finalize(owner, self._kept.pop, where, None)
+            self._kept[where] = result
         return self._kept[where]
