@@ -59,8 +59,8 @@ EXCAVATOR = RobotSetup(
     home=np.array([0.0, -0.8099, 1.551, 0.8296, 0.0, 0.0]),
     # A careful operator: about half of what a Hitachi ZX200 does (pwri-opera: swing 1.1, boom 0.45, arm 1.1, bucket
     # 1.1 rad/s and 0.35, 0.7, 2.9, 4.2 rad/s²); estimates for the tiltrotator. Stretched out with a 1 t stone,
-    # 0.175 rad/s² takes two thirds of the swing motor's torque. Set points that jump to full velocity at once exceed it,
-    # and the house overshoots by up to half a radian.
+    # 0.175 rad/s² takes two thirds of the swing motor's torque. Set points that jump to full velocity at once exceed
+    # it, and the house overshoots by up to half a radian.
     max_velocity=np.array([0.5, 0.25, 0.5, 0.6, 0.4, 0.8]),
     max_acceleration=np.array([0.175, 0.35, 1.45, 2.1, 1.0, 2.0]),
     # 0.10 m to 1.20 m between the pads, 0.84 m + 1.8 m sin θ in general. Full travel takes 1.9 s.
