@@ -99,14 +99,17 @@ def self_pairs(
     reader: ModelReader,
     data: mujoco.MjData,
     geoms: Sequence[CollisionGeom],
-    joints: Sequence[int],
-    finger_joints: Sequence[int],
+    joints: tuple[Sequence[int], Sequence[int]],
     home: Float[np.ndarray, " n"],
     samples: int,
     pair_distance: float,
 ) -> Int[Array, "S 2"]:
-    """(S, 2) index pairs of ``geoms`` that are worth checking; see `robot_from_model` for which. ``data`` is moved."""
-    model, n = reader.model, len(joints)
+    """(S, 2) index pairs of ``geoms`` that are worth checking; see `robot_from_model` for which.
+
+    ``joints`` are those of the arm and of the fingers; ``data`` is moved.
+    """
+    model, n = reader.model, len(joints[0])
+    moved = [*joints[0], *joints[1]]
     units = [g.link if g.finger is None else n + 1 for g in geoms]
     candidates = [
         (i, j)
@@ -116,12 +119,12 @@ def self_pairs(
     pairs = np.array(candidates, dtype=np.int32).reshape(-1, 2)
     ids = np.array([g.geom for g in geoms], dtype=np.int32)[pairs]
     rng = np.random.default_rng(0)
-    limits = model.jnt_range[[*joints, *finger_joints]]
+    limits = model.jnt_range[moved]
     near = np.zeros(len(pairs), dtype=bool)
     free_at_home = np.ones(len(pairs), dtype=bool)
     for k in range(samples + 1):
         q = np.concatenate([home, limits[n:, 1]]) if k == 0 else rng.uniform(limits[:, 0], limits[:, 1])
-        set_joints(model, data, [*joints, *finger_joints], q)
+        set_joints(model, data, moved, q)
         for p in range(len(pairs)) if k == 0 else np.flatnonzero(~near & free_at_home):
             distance = mujoco.mj_geomDistance(model, data, ids[p, 0], ids[p, 1], pair_distance, None)
             if k == 0 and distance < 0:

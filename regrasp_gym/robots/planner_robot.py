@@ -16,59 +16,40 @@ from regrasp_gym.geometry.poses import mujoco_quaternion
 from regrasp_gym.rendering.surfaces import COLLISION_GROUP
 from regrasp_gym.robots.collision_geoms import CollisionGeom, collision_geoms, frame, self_pairs, set_joints
 from regrasp_gym.robots.model_reader import ModelReader, RobotModelError
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_planner import Arm, ConvexBody, Gripper, Robot
 
+_WIDTH_AXIS = (0.0, 1.0, 0.0)
+_APPROACH_AXIS = (0.0, 0.0, 1.0)
 
-def robot_from_model(
-    model: mujoco.MjModel,
-    *,
-    name: str,
-    base: str,
-    joints: Sequence[str],
-    tool_site: str,
-    finger_joints: tuple[str, str],
-    pads: tuple[str, str],
-    max_velocity: Float[np.ndarray, " n"],
-    max_acceleration: Float[np.ndarray, " n"],
-    home: Float[np.ndarray, " n"],
-    finger_ratios: tuple[float, float] = (1.0, 1.0),
-    width_axis: Sequence[float] = (0.0, 1.0, 0.0),
-    approach_axis: Sequence[float] = (0.0, 0.0, 1.0),
-    samples: int = 400,
-    pair_distance: float = 0.15,
-) -> Robot:
+_SAMPLES = 400
+"""Random configurations that select the self-collision pairs."""
+
+
+def robot_from_model(model: mujoco.MjModel, setup: RobotSetup) -> Robot:
     """The robot in a model. Its bodies are the collision geoms (group 3) of its links, hand and fingers.
 
     Self-collision pairs are all pairs of bodies on different links, except pairs on neighbouring links, pairs that the
-    model excludes or its contact masks rule out, pairs that overlap at ``home`` (fat capsules around joints), the two
-    fingers (they are made to meet), and pairs that stay farther apart than ``pair_distance`` in ``samples`` random
+    model excludes or its contact masks rule out, pairs that overlap at home (fat capsules around joints), the two
+    fingers (they are made to meet), and pairs that stay farther apart than ``setup.pair_distance`` in 400 random
     configurations.
 
     Args:
         model: compiled model; everything else in it is ignored.
-        name: name of the robot, used in messages.
-        base: body of link 0, fixed to the world.
-        joints: the n hinge joints of the arm from base to wrist. Every joint must sit at the origin of its body.
-        tool_site: site at the grasp centre; its frame is the gripper frame.
-        finger_joints: slide or hinge joint of each finger; the last link must carry the fingers.
-        pads: geom of each finger that touches the target.
-        max_velocity, max_acceleration: (n,) rad/s and rad/s².
-        home: (n,) rad.
-        finger_ratios: position of each finger joint per unit of the finger coordinate θ.
-        width_axis, approach_axis: unit axes in the gripper frame.
-        samples, pair_distance: number of configurations, and the distance in metres, that select self-collision pairs.
+        setup: names and limits.
 
     Raises:
         RobotModelError: the model lacks a name, or its structure is not as described.
     """
-    reader = ModelReader(model, name)
-    for array, what in ((max_velocity, "max_velocity"), (max_acceleration, "max_acceleration"), (home, "home")):
-        if np.shape(array) != (len(joints),):
-            raise RobotModelError(f"{what} of {name!r} has shape {np.shape(array)}; give ({len(joints)},)")
-    parts = _find_parts(reader, base, joints, tool_site, finger_joints, pads)
+    reader = ModelReader(model, setup.name)
+    count = len(setup.arm_joints)
+    for what in ("max_velocity", "max_acceleration", "home"):
+        if (shape := np.shape(getattr(setup, what))) != (count,):
+            raise RobotModelError(f"{what} of {setup.name!r} has shape {shape}; give ({count},)")
+    parts = _find_parts(reader, setup)
 
     data = mujoco.MjData(model)
-    set_joints(model, data, [*parts.joints, *parts.finger_joints], np.zeros(len(joints) + 2))
+    set_joints(model, data, [*parts.joints, *parts.finger_joints], np.zeros(count + 2))
     frames = [frame(data.xpos[b], data.xquat[b]) for b in parts.links]
     tool = frame(data.site_xpos[parts.site], mujoco_quaternion(data.site_xmat[parts.site]))
     arm = Arm(
@@ -76,32 +57,28 @@ def robot_from_model(
         axes=jnp.asarray(model.jnt_axis[parts.joints]),
         lower=jnp.asarray(model.jnt_range[parts.joints, 0]),
         upper=jnp.asarray(model.jnt_range[parts.joints, 1]),
-        max_velocity=jnp.asarray(max_velocity, float),
-        max_acceleration=jnp.asarray(max_acceleration, float),
+        max_velocity=jnp.asarray(setup.max_velocity, float),
+        max_acceleration=jnp.asarray(setup.max_acceleration, float),
         base=frames[0].wxyz_xyz,
         tool=(frames[-1].inverse() @ tool).wxyz_xyz,
-        joint_names=tuple(joints),
+        joint_names=tuple(setup.arm_joints),
     )
     geoms = collision_geoms(reader, parts.links, parts.fingers, parts.site)
     palm = [g for g in geoms if g.palm]
     fingers = [g for g in geoms if g.finger is not None]
     links = [g for g in geoms if g.finger is None and not g.palm]
-    lower, upper = _travel(reader, parts.finger_joints, finger_ratios)
+    lower, upper = _travel(reader, parts.finger_joints)
     gripper = Gripper(
         palm=_stacked(palm, data, [tool] * len(palm)),
         fingers=_stacked(fingers, data, [tool] * len(fingers)),
         finger_of=jnp.asarray([g.finger for g in fingers], dtype=jnp.int32),
         contact=jnp.asarray(_contact(reader, fingers, parts.pads), dtype=jnp.int32),
-        screws=jnp.asarray(
-            np.stack(
-                [r * _twist(model, data, j, tool) for j, r in zip(parts.finger_joints, finger_ratios, strict=True)]
-            )
-        ),
+        screws=jnp.asarray(np.stack([_twist(model, data, joint, tool) for joint in parts.finger_joints])),
         lower=jnp.asarray(lower),
         upper=jnp.asarray(upper),
-        width_axis=jnp.asarray(width_axis, float),
-        approach_axis=jnp.asarray(approach_axis, float),
-        max_opening=jnp.asarray(_max_opening(reader, data, parts, finger_ratios, (lower, upper))),
+        width_axis=jnp.asarray(_WIDTH_AXIS, float),
+        approach_axis=jnp.asarray(_APPROACH_AXIS, float),
+        max_opening=jnp.asarray(_max_opening(reader, data, parts, (lower, upper))),
     )
     return Robot(
         arm=arm,
@@ -109,10 +86,16 @@ def robot_from_model(
         links=_stacked(links, data, [frames[g.link] for g in links]),
         link_of=jnp.asarray([g.link for g in links], dtype=jnp.int32),
         self_pairs=self_pairs(
-            reader, data, [*links, *palm, *fingers], parts.joints, parts.finger_joints, home, samples, pair_distance
+            reader,
+            data,
+            [*links, *palm, *fingers],
+            (parts.joints, parts.finger_joints),
+            setup.home,
+            _SAMPLES,
+            setup.pair_distance,
         ),
-        home=jnp.asarray(home, float),
-        name=name,
+        home=jnp.asarray(setup.home, float),
+        name=setup.name,
     )
 
 
@@ -128,24 +111,17 @@ class _Parts:
     site: int
 
 
-def _find_parts(
-    reader: ModelReader,
-    base: str,
-    joints: Sequence[str],
-    tool_site: str,
-    finger_joints: tuple[str, str],
-    pads: tuple[str, str],
-) -> _Parts:
+def _find_parts(reader: ModelReader, setup: RobotSetup) -> _Parts:
     kinds, model = mujoco.mjtObj, reader.model
-    joint_ids = [reader.find(kinds.mjOBJ_JOINT, joint) for joint in joints]
-    finger_ids = [reader.find(kinds.mjOBJ_JOINT, joint) for joint in finger_joints]
-    pad_ids = [reader.find(kinds.mjOBJ_GEOM, pad) for pad in pads]
-    base_id = reader.find(kinds.mjOBJ_BODY, base)
-    site = reader.find(kinds.mjOBJ_SITE, tool_site)
+    joint_ids = [reader.find(kinds.mjOBJ_JOINT, joint) for joint in setup.arm_joints]
+    finger_ids = [reader.find(kinds.mjOBJ_JOINT, joint) for joint in setup.finger_joints]
+    pad_ids = [reader.find(kinds.mjOBJ_GEOM, pad) for pad in setup.pads]
+    base_id = reader.find(kinds.mjOBJ_BODY, setup.base)
+    site = reader.find(kinds.mjOBJ_SITE, setup.tcp_site)
     links = [base_id, *reader.chain(base_id, joint_ids)]
     fingers = [int(model.jnt_bodyid[j]) for j in finger_ids]
     if any(reader.parent_link(body, links) != len(joint_ids) for body in fingers):
-        raise RobotModelError(f"a finger of {reader.robot!r} is not carried by the last link, {joints[-1]!r}")
+        raise RobotModelError(f"a finger of {reader.robot!r} is not carried by the last link, {setup.arm_joints[-1]!r}")
     return _Parts(links, fingers, joint_ids, finger_ids, pad_ids, site)
 
 
@@ -159,32 +135,26 @@ def _twist(model: mujoco.MjModel, data: mujoco.MjData, joint: int, tool: jaxlie.
     return np.concatenate([-np.cross(axis, anchor), axis])
 
 
-def _travel(reader: ModelReader, fingers: Sequence[int], ratios: Sequence[float]) -> tuple[float, float]:
+def _travel(reader: ModelReader, fingers: Sequence[int]) -> tuple[float, float]:
     """Range of θ in which both finger joints keep their limits."""
-    ranges = [np.sort(reader.model.jnt_range[j] / r) for j, r in zip(fingers, ratios, strict=True)]
+    ranges = reader.model.jnt_range[fingers]
     lower, upper = max(r[0] for r in ranges), min(r[1] for r in ranges)
     if not lower < upper:
         raise RobotModelError(f"the finger joints of {reader.robot!r} have no common travel: {ranges}")
     return float(lower), float(upper)
 
 
-def _max_opening(
-    reader: ModelReader,
-    data: mujoco.MjData,
-    parts: _Parts,
-    ratios: Sequence[float],
-    travel: tuple[float, float],
-) -> float:
+def _max_opening(reader: ModelReader, data: mujoco.MjData, parts: _Parts, travel: tuple[float, float]) -> float:
     """Distance between the pads at the greatest θ, metres; ``data`` is left at θ = 0."""
     model, gaps = reader.model, []
     for theta in travel:
-        set_joints(model, data, parts.finger_joints, theta * np.asarray(ratios))
+        set_joints(model, data, parts.finger_joints, np.full(2, theta))
         gap = mujoco.mj_geomDistance(model, data, parts.pads[0], parts.pads[1], 100.0, None)
         gaps.append(round(float(gap), 9))
     set_joints(model, data, parts.finger_joints, np.zeros(2))
     if gaps[1] <= gaps[0]:
         raise RobotModelError(
-            f"the gripper of {reader.robot!r} does not open with growing θ: swap the signs of finger_ratios"
+            f"the gripper of {reader.robot!r} does not open with growing θ: reverse the axes of its finger joints"
         )
     return gaps[1]
 

@@ -22,11 +22,14 @@ class RobotSetup:
         name: name of the robot, used in messages.
         build_spec: builds a new specification of the robot alone.
         base: body of link 0, fixed to the world.
-        arm_joints, arm_actuators: n names each, base to wrist; ctrl is the joint's position, radians.
-        finger_joints: names of the two finger joints, driven as one.
+        arm_joints: the n hinge joints, base to wrist. Every joint must sit at the origin of its body.
+        arm_actuators: the n actuators of these joints; ctrl is the joint's position, radians.
+        finger_joints: slide or hinge joint of each finger, both at the finger coordinate θ. The last link must carry
+            the fingers.
         pads: geom of each finger that touches the target.
-        gripper_actuator: name; ctrl is the finger coordinate θ.
-        tcp_site: site of the gripper frame.
+        gripper_actuator: the actuator of the fingers; ctrl is θ.
+        tcp_site: site at the grasp centre; its frame is the gripper frame, +z out of the palm, with the fingers closing
+            along ±y.
         home: (n,) configuration at the start of an episode, radians.
         max_velocity: (n,) limit of the commanded joint motion, rad/s.
         max_acceleration: (n,) limit of the commanded joint motion, rad/s².
@@ -58,16 +61,4 @@ class RobotSetup:
         # Imported here because it loads JAX, which the physics does not need.
         from regrasp_gym.robots.planner_robot import robot_from_model
 
-        return robot_from_model(
-            self.build_spec().compile() if model is None else model,
-            name=self.name,
-            base=self.base,
-            joints=self.arm_joints,
-            tool_site=self.tcp_site,
-            finger_joints=self.finger_joints,
-            pads=self.pads,
-            max_velocity=self.max_velocity,
-            max_acceleration=self.max_acceleration,
-            home=self.home,
-            pair_distance=self.pair_distance,
-        )
+        return robot_from_model(self.build_spec().compile() if model is None else model, self)

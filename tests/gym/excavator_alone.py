@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from robot_alone import at_rest
 
-from regrasp_gym.robots import excavator
+from regrasp_gym.robots.excavator import EXCAVATOR
 
-CLOSED, OPEN = excavator.THETA_RANGE
+CLOSED, OPEN = EXCAVATOR.theta_range
 BODIES = ("chassis", "house", "boom", "arm", "tool_pitch", "tool_tilt", "tool_rotate", "gripper")
 JAWS = ("left_jaw", "right_jaw")
 FAR = np.array([0.0, -0.45, 0.75, np.pi / 2 - 0.3, 0.0, 0.0])
@@ -18,10 +18,10 @@ FAR = np.array([0.0, -0.45, 0.75, np.pi / 2 - 0.3, 0.0, 0.0])
 
 
 def compiled(
-    spec: mujoco.MjSpec | None = None, home: np.ndarray = excavator.HOME
+    spec: mujoco.MjSpec | None = None, home: np.ndarray = EXCAVATOR.home
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The machine at rest with open jaws, commanded to stay there."""
-    return at_rest(excavator.EXCAVATOR, spec, home)
+    return at_rest(EXCAVATOR, spec, home)
 
 
 def pose(data: mujoco.MjData, q: np.ndarray, theta: float) -> None:
@@ -36,7 +36,7 @@ def random_configurations(model: mujoco.MjModel, count: int) -> list[tuple[np.nd
 
 def loaded() -> mujoco.MjSpec:
     """The machine with a tonne fixed to its grapple."""
-    spec = excavator.build_spec()
+    spec = EXCAVATOR.build_spec()
     load = spec.body("gripper").add_body(name="load", pos=[0, 0, 1.22])
     load.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.35, 0.35, 0.4], mass=1000.0, contype=0, conaffinity=0)
     return spec

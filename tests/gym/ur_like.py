@@ -105,13 +105,6 @@ XML = """
 
 # robots/ur.py -------------------------------------------------------------------------------------------------------
 
-ARM_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-FINGER_JOINTS = ("left_slide", "right_slide")
-HOME = np.array([-0.34, -1.83, 1.65, -1.39, -np.pi / 2, 1.231])
-MAX_VELOCITY = np.full(6, np.pi)
-MAX_ACCELERATION = np.full(6, 5.0)
-OPEN_THETA = 0.0425
-
 D1, A2, A3, D4, D5, D6 = 0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996
 DH = ((D1, 0, np.pi / 2), (0, A2, 0), (0, A3, 0), (D4, 0, np.pi / 2), (D5, 0, -np.pi / 2), (D6, 0, 0))
 """d, a, α of each joint, metres and radians; the test compares the kinematics with them."""
@@ -128,20 +121,22 @@ def build_spec() -> mujoco.MjSpec:
     return spec
 
 
+_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
 UR = RobotSetup(
     name="ur",
     build_spec=build_spec,
     base="base",
-    arm_joints=ARM_JOINTS,
-    arm_actuators=ARM_JOINTS,
-    finger_joints=FINGER_JOINTS,
+    arm_joints=_JOINTS,
+    arm_actuators=_JOINTS,
+    finger_joints=("left_slide", "right_slide"),
     pads=("left_pad", "right_pad"),
     gripper_actuator="gripper",
     tcp_site="tcp",
-    home=HOME,
-    max_velocity=MAX_VELOCITY,
-    max_acceleration=MAX_ACCELERATION,
-    theta_range=(0.0, OPEN_THETA),
+    home=np.array([-0.34, -1.83, 1.65, -1.39, -np.pi / 2, 1.231]),
+    max_velocity=np.full(6, np.pi),
+    max_acceleration=np.full(6, 5.0),
+    theta_range=(0.0, 0.0425),
 )
 
 # envs/ur_ycb.py -----------------------------------------------------------------------------------------------------
@@ -156,7 +151,7 @@ class URYCBEnv(RegraspEnv):
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(self, scene_config: TableShelfConfig | None = None, **arguments: Any) -> None:
-        scene_config = scene_config or TableShelfConfig(max_opening=2 * OPEN_THETA)
+        scene_config = scene_config or TableShelfConfig(max_opening=2 * UR.theta_range[1])
         super().__init__(UR_YCB, scene_config=scene_config, **arguments)
 
 

@@ -11,7 +11,7 @@ from robot_alone import STEP, pad_forces, pose_in_gripper, step
 from scipy.spatial.transform import Rotation
 
 from regrasp_gym.objects.stones import StoneConfig, stone
-from regrasp_gym.robots import excavator
+from regrasp_gym.robots.excavator import EXCAVATOR
 
 
 def grasped(shape: Float[np.ndarray, "N 3"], seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -20,15 +20,15 @@ def grasped(shape: Float[np.ndarray, "N 3"], seed: int) -> tuple[np.ndarray, np.
     Found by trying: turn the stone at random, close the jaws in steps of what is left between pads and stone.
     """
     rng = np.random.default_rng(seed)
-    spec = excavator.build_spec()
+    spec = EXCAVATOR.build_spec()
     mesh = spec.add_mesh(name="stone", uservert=shape.ravel())
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     body = spec.worldbody.add_body(name="stone", mocap=True)
     body.add_geom(name="stone", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="stone")
     model, data = compiled(spec)
-    stone_geom, pads = model.geom("stone").id, [model.geom(name).id for name in excavator.PADS]
+    stone_geom, pads = model.geom("stone").id, [model.geom(name).id for name in EXCAVATOR.pads]
     others = [g for g in range(model.ngeom) if model.geom_group[g] == 3 and g not in pads]
-    center = data.site(excavator.TCP_SITE).xpos.copy()
+    center = data.site(EXCAVATOR.tcp_site).xpos.copy()
 
     def touch(geom: int) -> tuple[float, np.ndarray]:
         ends = np.zeros(6)
@@ -38,7 +38,7 @@ def grasped(shape: Float[np.ndarray, "N 3"], seed: int) -> tuple[np.ndarray, np.
         turn, offset, theta = Rotation.random(random_state=rng), np.append(rng.normal(size=2) * 0.05, 0.0), OPEN
         offset = offset[[0, 2, 1]]
         for _ in range(25):
-            pose(data, excavator.HOME, max(theta, CLOSED))
+            pose(data, EXCAVATOR.home, max(theta, CLOSED))
             data.mocap_pos[0], data.mocap_quat[0] = center + offset, turn.as_quat(scalar_first=True)
             mujoco.mj_kinematics(model, data)
             left, right = touch(pads[0])[0], touch(pads[1])[0]
@@ -70,8 +70,8 @@ def moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) ->
 def test_friction_alone_holds_a_heavy_stone_through_a_swing(seed: int) -> None:
     thing = stone(seed, StoneConfig(mass=(850.0, 1000.0)))
     turn, offset, _ = grasped(thing.pieces[0], seed)
-    spec = excavator.build_spec()
-    center = compiled()[1].site(excavator.TCP_SITE).xpos
+    spec = EXCAVATOR.build_spec()
+    center = compiled()[1].site(EXCAVATOR.tcp_site).xpos
     where = np.concatenate([Rotation.from_matrix(turn).as_quat(scalar_first=True), center + offset])
     body = thing.add_to(spec, name="stone", pose=where)
     body.gravcomp = 1.0
@@ -89,22 +89,22 @@ def test_friction_alone_holds_a_heavy_stone_through_a_swing(seed: int) -> None:
     assert 34e3 < np.mean(presses) < 48e3, "the pad presses with about 40 kN"
     assert np.std(presses) < 100.0, "and without chatter"
 
-    grip = pose_in_gripper(data, excavator.EXCAVATOR, "stone")
+    grip = pose_in_gripper(data, EXCAVATOR, "stone")
     assert np.linalg.norm(grip[0] - offset * [-1, 1, -1]) < 0.02, "where it was gripped"
-    position, end = ramp(2.2, excavator.MAX_VELOCITY[0], excavator.MAX_ACCELERATION[0])
+    position, end = ramp(2.2, EXCAVATOR.max_velocity[0], EXCAVATOR.max_acceleration[0])
     lift = np.array([0.0, -0.12, 0.0, 0.12, 0.0, 0.0])
     for k in range(round((end + 1.0) / STEP)):
         share = min(1.0, k * STEP / 2.5)
-        data.ctrl[:6] = excavator.HOME + lift * share**2 * (3 - 2 * share)
+        data.ctrl[:6] = EXCAVATOR.home + lift * share**2 * (3 - 2 * share)
         data.ctrl[0] += position(k * STEP)
         mujoco.mj_step(model, data)
-    slip, twist = moved(grip, pose_in_gripper(data, excavator.EXCAVATOR, "stone"))
+    slip, twist = moved(grip, pose_in_gripper(data, EXCAVATOR, "stone"))
     assert slip < 0.02
     assert twist < 1.0
     assert data.qpos[0] == pytest.approx(2.2, abs=1e-3)
 
-    after = pose_in_gripper(data, excavator.EXCAVATOR, "stone")
+    after = pose_in_gripper(data, EXCAVATOR, "stone")
     step(model, data, 20.0)
-    slip, twist = moved(after, pose_in_gripper(data, excavator.EXCAVATOR, "stone"))
+    slip, twist = moved(after, pose_in_gripper(data, EXCAVATOR, "stone"))
     assert slip < 0.003, "a held stone does not creep"
     assert twist < 0.5

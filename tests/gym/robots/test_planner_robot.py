@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import jax
 import jaxlie
@@ -11,10 +12,10 @@ import numpy as np
 import pytest
 from robot_alone import body_geoms
 
-from regrasp_gym.robots import panda
 from regrasp_gym.robots.collision_geoms import geom_body
 from regrasp_gym.robots.model_reader import RobotModelError
-from regrasp_gym.robots.planner_robot import robot_from_model
+from regrasp_gym.robots.panda import PANDA
+from regrasp_gym.robots.setup import RobotSetup
 from regrasp_planner import separation
 from regrasp_planner.robot.kinematics import body_poses, forward_kinematics, robot_bodies
 from regrasp_planner.robot.model import Robot
@@ -43,7 +44,7 @@ JAWS = """
                 <geom name="plate1" type="box" size="0.08 0.02 0.12" pos="0 -0.08 -0.13"/>
               </body>
               <body name="jaw2" pos="0 -0.1 -0.05">
-                <joint name="hinge2" axis="1 0 0" range="-0.9 0.1"/>
+                <joint name="hinge2" axis="-1 0 0" range="-0.1 0.9"/>
                 <geom name="plate2" type="box" size="0.08 0.02 0.12" pos="0 0.08 -0.13"/>
               </body></body></body></body></body></body>
   </worldbody>
@@ -51,30 +52,38 @@ JAWS = """
 """
 
 
-def jaw_robot(**changes) -> Robot:
-    arguments = {
-        "name": "digger",
-        "base": "house",
-        "joints": ("swing", "crowd"),
-        "tool_site": "grip",
-        "finger_joints": ("hinge1", "hinge2"),
-        "finger_ratios": (1.0, -1.0),
-        "pads": ("plate1", "plate2"),
-        "max_velocity": np.ones(2),
-        "max_acceleration": np.ones(2),
-        "home": np.zeros(2),
-    }
-    return robot_from_model(mujoco.MjModel.from_xml_string(JAWS), **(arguments | changes))
+REVERSED_JAWS = JAWS.replace('axis="1 0 0" range="0 0.8"', 'axis="-1 0 0" range="-0.8 0"').replace(
+    'axis="-1 0 0" range="-0.1 0.9"', 'axis="1 0 0" range="-0.9 0.1"'
+)
+
+
+def jaw_robot(xml: str = JAWS, **changes) -> Robot:
+    setup = RobotSetup(
+        name="digger",
+        build_spec=lambda: mujoco.MjSpec.from_string(xml),
+        base="house",
+        arm_joints=("swing", "crowd"),
+        arm_actuators=(),
+        finger_joints=("hinge1", "hinge2"),
+        pads=("plate1", "plate2"),
+        gripper_actuator="",
+        tcp_site="grip",
+        home=np.zeros(2),
+        max_velocity=np.ones(2),
+        max_acceleration=np.ones(2),
+        theta_range=(0.0, 0.8),
+    )
+    return replace(setup, **changes).planner_robot()
 
 
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
-    return panda.build_spec().compile()
+    return PANDA.build_spec().compile()
 
 
 @pytest.fixture(scope="module")
 def robot(model: mujoco.MjModel) -> Robot:
-    return panda.PANDA.planner_robot(model)
+    return PANDA.planner_robot(model)
 
 
 def panda_geoms(model: mujoco.MjModel) -> list[int]:
@@ -173,7 +182,7 @@ def test_self_pairs_hold_every_contact_that_can_happen(model: mujoco.MjModel, ro
 
 def test_no_self_collision_where_there_is_none(model: mujoco.MjModel, robot: Robot) -> None:
     """Fat capsules must not report a collision at home, nor in most of the joint space."""
-    assert posed(model, panda.HOME, 0.04).ncon == 0
+    assert posed(model, PANDA.home, 0.04).ncon == 0
     free = [posed(model, q, theta).ncon == 0 for q, theta in random_configurations(robot, 400, seed=4)]
     assert np.mean(free) > 0.85
 
@@ -203,7 +212,7 @@ def test_swinging_jaws_and_fixed_parts_between_joints() -> None:
     rng = np.random.default_rng(5)
     for _ in range(10):
         q, theta = rng.uniform([-2, -1], [2, 2]), rng.uniform(0, 0.8)
-        data.qpos[:] = [*q, theta, -theta]
+        data.qpos[:] = [*q, theta, theta]
         mujoco.mj_kinematics(model, data)
         poses = np.asarray(body_poses(robot, q, theta))
         frames = np.asarray(forward_kinematics(robot.arm, q))
@@ -228,13 +237,13 @@ def test_a_cylinder_contains_itself() -> None:
     ("changes", "message"),
     [
         ({"base": "hoose"}, "no body 'hoose'"),
-        ({"joints": ("swing", "crawl")}, "no joint 'crawl'"),
-        ({"joints": ("crowd", "swing")}, "does not follow"),
-        ({"joints": ("swing", "hinge1"), "finger_joints": ("crowd", "hinge2")}, "not carried by the last link"),
+        ({"arm_joints": ("swing", "crawl")}, "no joint 'crawl'"),
+        ({"arm_joints": ("crowd", "swing")}, "does not follow"),
+        ({"arm_joints": ("swing", "hinge1"), "finger_joints": ("crowd", "hinge2")}, "not carried by the last link"),
         ({"pads": ("plate1", "plate1")}, "one per finger"),
-        ({"finger_ratios": (-1.0, 1.0)}, "does not open"),
+        ({"xml": REVERSED_JAWS}, "does not open"),
         ({"max_velocity": np.ones(3)}, r"max_velocity of 'digger' has shape \(3,\)"),
-        ({"tool_site": "grab"}, "no site 'grab'"),
+        ({"tcp_site": "grab"}, "no site 'grab'"),
     ],
 )
 def test_wrong_descriptions_are_refused_by_name(changes: dict, message: str) -> None:

@@ -49,7 +49,7 @@ def test_physics_planner_and_data_sheet_agree(env):
         planned = np.asarray(forward_kinematics(robot.arm, joints)[-1])
         assert max(pose_errors(planned, world.gripper_pose)) < 1e-6
     assert (float(robot.gripper.lower), float(robot.gripper.upper)) == env.unwrapped.scenario.robot.theta_range
-    assert float(robot.gripper.max_opening) == pytest.approx(2 * ur_like.OPEN_THETA)
+    assert float(robot.gripper.max_opening) == pytest.approx(2 * ur_like.UR.theta_range[1])
 
 
 def test_it_is_an_environment_like_the_others(env):
@@ -81,7 +81,7 @@ def test_it_follows_its_commands_and_holds_still(env):
     world, command = env.unwrapped.world, env.unwrapped.command
     for _ in range(20):
         env.step(command)
-    assert np.abs(world.joint_positions - ur_like.HOME).max() < 1e-3
+    assert np.abs(world.joint_positions - ur_like.UR.home).max() < 1e-3
     command[:6] += [0.4, -0.2, 0.2, 0.4, -0.4, 0.4]
     command[6] = 0.01
     for _ in range(30):
